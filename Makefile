@@ -1,0 +1,40 @@
+# Each of `make test` and `make reproduce-table` is all that a fresh clone needs: they make .venv and install into it.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/installed
+RUNS ?= traces
+THREADS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help test lint docs docs-check reproduce-table clean
+
+help: ## Say what each target does
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+$(INSTALLED): pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+test: $(INSTALLED) ## Run the tests (with the real scenes too when NPTRACE_SCENES names their folder)
+	$(BIN)/python -m pytest
+
+lint: $(INSTALLED) ## Check style, types and the import rules
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and print Table I beside the paper's
+	@$(BIN)/nptrace render bunny conference sibenik sponza --out $(RUNS) --threads $(THREADS)
+	@$(BIN)/npcache table1 --traces $(RUNS)
+
+docs: $(INSTALLED) ## Write the figures of README.md and docs/ again
+	$(BIN)/cog -r README.md
+
+docs-check: $(INSTALLED) ## Fail if a figure in README.md is not what its command prints
+	$(BIN)/cog --check README.md
+
+clean: ## Remove the environment and the runs under traces/
+	rm -rf .venv $(wildcard traces/*/)

@@ -1,0 +1,1 @@
+"""Stage 2: a run on disk -> cache counts -> tables and reports."""

@@ -1,0 +1,1 @@
+"""Stage 1: scene -> tree -> traced rays -> a run on disk."""

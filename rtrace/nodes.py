@@ -1,0 +1,102 @@
+"""The trees in memory: the node layouts, and Tree, a NamedTuple of flat arrays that every kernel walks.
+
+Both layouts are Manta's (2013): root 0, sibling pairs from number 1 on, so the sibling of node ``i`` is ``((i - 1) ^ 1) + 1``;
+a pair is numbered when its parent is split, then the left subtree, then the right (depth-first).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jit import kernel
+
+#: Low two bits of ``meta``: the split axis 0, 1, 2 of an inner node, or LEAF. The upper 30 bits are the number of
+#: primitives of a leaf, or, in an inner kd node, the number of its lower child.
+LEAF = 3
+
+#: A kd-tree node in 8 bytes: four of them fill a 32-byte line.
+KD_NODE = np.dtype(
+    {
+        "names": ["split", "first", "meta"],
+        "formats": ["<f4", "<u4", "<u4"],
+        "offsets": [0, 0, 4],  # split (inner) and first (leaf: where its primitives start in prims) share bytes 0-3
+        "itemsize": 8,
+    }
+)
+
+#: A BVH node in 32 bytes: its own box, then ``child`` (inner: the lower child; leaf: where its primitives start in prims).
+BVH_NODE = np.dtype([("lower", "<f4", 3), ("upper", "<f4", 3), ("child", "<u4"), ("meta", "<u4")])
+
+
+class Tree(NamedTuple):
+    """One acceleration structure over triangles; the arrays are C-contiguous and not to be written to.
+
+    Attributes
+    ----------
+    kind : str
+        ``"kdtree"`` or ``"bvh"``.
+    nodes : (n_nodes,) KD_NODE or BVH_NODE
+    prims : (n_refs,) int32
+        Triangle numbers, leaf by leaf, ascending inside a leaf.
+    triangles : (n_triangles, 3, 3) float32
+        The scene's triangles, in their own order.
+    bounds : (2, 3) float32
+        Lower and upper corner of the box of all triangles.
+    max_level : int
+        Level of the deepest node, root 0: also the most entries a traversal stack can hold.
+    params : dict
+        What the builder was asked for, as written into a run's metadata.
+    """
+
+    kind: str
+    nodes: np.ndarray
+    prims: np.ndarray
+    triangles: np.ndarray
+    bounds: np.ndarray
+    max_level: int
+    params: dict
+
+
+def words(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes as one flat float32 and one flat uint32 array over the same memory: 2 (kd) or 8 (BVH) words a node."""
+    return tree.nodes.view(np.float32), tree.nodes.view(np.uint32)
+
+
+@kernel
+def _parents_and_levels(child, meta, parent, level):
+    for i in range(child.size):
+        if meta[i] & 3 != LEAF:
+            for c in range(child[i], child[i] + 2):
+                parent[c] = i
+                level[c] = level[i] + 1
+
+
+def node_table(tree: Tree) -> dict[str, np.ndarray]:
+    """Return one column per fact of a node, as ``nodes.parquet`` stores them.
+
+    ``parent`` int32 (-1 for the root), ``level`` uint16, ``axis`` uint8 (3 for a leaf), ``n_prims`` uint32 (0 for an inner
+    node), ``address`` uint64 in bytes (node number x node size), and ``split`` float32 (kd-tree; NaN for a leaf) or
+    ``min_x`` ... ``max_z`` float32 (BVH).
+    """
+    nodes, n = tree.nodes, tree.nodes.size
+    meta = nodes["meta"].astype(np.int64)
+    is_leaf = (meta & 3) == LEAF
+    child = meta >> 2 if tree.kind == "kdtree" else nodes["child"].astype(np.int64)
+    parent = np.full(n, -1, np.int32)
+    level = np.zeros(n, np.uint16)
+    _parents_and_levels(child, meta, parent, level)
+    table = {
+        "node": np.arange(n, dtype=np.uint32),
+        "parent": parent,
+        "level": level,
+        "axis": (meta & 3).astype(np.uint8),
+        "n_prims": np.where(is_leaf, meta >> 2, 0).astype(np.uint32),
+        "address": np.arange(n, dtype=np.uint64) * np.uint64(nodes.dtype.itemsize),
+    }
+    if tree.kind == "kdtree":
+        table["split"] = np.where(is_leaf, np.float32(np.nan), nodes["split"])
+    else:
+        for k, axis in enumerate("xyz"):
+            table[f"min_{axis}"] = np.ascontiguousarray(nodes["lower"][:, k])
+            table[f"max_{axis}"] = np.ascontiguousarray(nodes["upper"][:, k])
+    return table

@@ -1,0 +1,164 @@
+"""Scene and tree -> a run: chunks of pixels traced by threads, written in shooting order, with the picture.
+
+The run's bytes do not depend on the number of threads: chunks have a fixed size and are written in order.
+"""
+
+import io
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rtrace.bvh import build_bvh
+from rtrace.camera import ORDERS, check_size, pixel_order
+from rtrace.kdtree import build_kdtree
+from rtrace.nodes import Tree, node_table
+from rtrace.scene import Scene
+from rtrace.shoot import Chunk, shoot
+from traces.format import BOX, PRIMARY, SHADOW, SPLIT, RunWriter
+
+TREES = ("kdtree", "bvh")
+CHUNK = 4096  # pixels: a few ms of work, so that threads end together, and a few MB of accesses
+AHEAD = 2  # chunks traced but not yet written, per thread
+
+
+@dataclass(frozen=True, slots=True)
+class Shooting:
+    """Which rays are shot, and in which order.
+
+    Attributes
+    ----------
+    width, height : int
+        Pixels; one primary ray each, through its centre, and a shadow ray where it hits a surface that faces the light.
+    order : str
+        One of ``camera.ORDERS``.
+    batch : int
+        Primary rays shot before their shadow rays; 0 means all of them.
+    seed : int
+        Of the random order.
+    """
+
+    width: int = 128
+    height: int = 128
+    order: str = "scanline"
+    batch: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_size(self.width, self.height)
+        if self.order not in ORDERS:
+            raise ValueError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
+        if self.batch < 0:
+            raise ValueError(f"batch must be 0 (all primary rays first) or more, got {self.batch}")
+
+
+def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
+    """Build a ``"kdtree"`` or a ``"bvh"``; parameters as ``build_kdtree`` and ``build_bvh``."""
+    if kind == "kdtree":
+        return build_kdtree(triangles, **params)
+    if kind == "bvh":
+        return build_bvh(triangles, **params)
+    raise ValueError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
+
+
+def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterator[Chunk]:
+    """Yield the traced chunks in shooting order, at most ``AHEAD`` x threads of them in memory.
+
+    Raises
+    ------
+    ValueError
+        threads is below 1.
+    """
+    if threads < 1:
+        raise ValueError(f"threads must be at least 1, got {threads}")
+    frame = scene.camera.frame(shooting.width, shooting.height)
+    pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
+    batch = shooting.batch or len(pixels)
+    # A batch is never cut: its shadow rays follow all of its primary rays.
+    step = CHUNK if shooting.batch == 0 else batch * max(1, CHUNK // batch)
+    passes: tuple[int | None, ...] = (None,) if shooting.batch else (PRIMARY, SHADOW)
+    jobs = ((start, which) for which in passes for start in range(0, len(pixels), step))
+    waiting: deque[Future[Chunk]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for start, which in jobs:
+                piece = pixels[start : start + step]
+                waiting.append(pool.submit(shoot, tree, frame, scene.light, piece, shooting.width, batch, which))
+                if len(waiting) >= AHEAD * threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def metadata(scene: Scene, tree: Tree, shooting: Shooting, command: str, tool_version: str) -> dict[str, Any]:
+    """Return what a run's footers say: everything that decides its bytes, and nothing else."""
+    return {
+        "tool_version": tool_version,
+        "command": command,
+        "scene": {
+            "name": scene.name,
+            "label": f"{scene.name} (stand-in)" if scene.stand_in else scene.name,
+            "source": scene.source,
+            "sha256": scene.sha256,
+            "n_triangles": len(scene.triangles),
+            "stand_in": scene.stand_in,
+        },
+        "camera": asdict(scene.camera),
+        "light": list(scene.light),
+        **asdict(shooting),
+        "tree": {"kind": tree.kind, "node_bytes": tree.nodes.dtype.itemsize, **tree.params},
+        "layout": "as stored",
+        "prefetch": {"policy": "stack", "budget": "unlimited"},
+    }
+
+
+def render(
+    scene: Scene,
+    tree: Tree,
+    shooting: Shooting,
+    path: Path,
+    *,
+    threads: int = 2,
+    command: str = "",
+    tool_version: str = "",
+    progress: Callable[[int], object] = lambda pixels: None,
+) -> None:
+    """Trace a picture and write the run at ``path``, whole or not at all.
+
+    Parameters
+    ----------
+    progress : callable
+        Called with the number of pixels of each chunk that was written.
+    """
+    fields = SPLIT if tree.kind == "kdtree" else BOX
+    picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
+    n_rays = n_accesses = 0
+    with RunWriter(path, metadata(scene, tree, shooting, command, tool_version), fields) as run:
+        run.append("nodes", node_table(tree))
+        for chunk in chunks(tree, scene, shooting, threads):
+            chunk.rays["ray"] += np.uint32(n_rays)
+            chunk.rays["first"] += np.uint64(n_accesses)
+            chunk.accesses["ray"] += np.uint32(n_rays)
+            run.append("rays", chunk.rays)
+            run.append("accesses", chunk.accesses)
+            n_rays += len(chunk.rays["ray"])
+            n_accesses += len(chunk.accesses["ray"])
+            # The shadow pass shades in full; the primary pass of "all primaries first" leaves every surface lit.
+            picture[chunk.pixels] = chunk.colours
+            progress(len(chunk.pixels))
+        run.image(_png(picture.reshape(shooting.height, shooting.width, 3)))
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "PNG", compress_level=1)
+    return buffer.getvalue()

@@ -1,0 +1,379 @@
+"""The traversal kernels: rays -> hits, and, when asked for, every node access in the order the hardware would issue it.
+
+An access is written as one uint32, ``node << 2 | kind``, with the kinds of ``traces.format``. One kernel per tree serves
+closest-hit and any-hit rays, traced or not (``events`` None compiles to a kernel without tracing).
+
+Rules that hold for both trees (reasons in docs/correctness.md):
+
+- The triangle test decides; boxes and planes only skip what cannot matter, with a margin (``intersect.PAD``).
+- A hit counts when t_min <= t <= t_max. Among equal t the lowest triangle number wins, so culling keeps equals.
+- The pre-fetch unit of Park et al. 2013, Sec. 3: a push sets its pointer to the stack top, a pop lowers it to the top; at a
+  non-empty leaf, before its triangles are tested, it requests the nodes below its pointer, which stays where it stops.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jit import kernel
+from rtrace.intersect import NARROWER, NO_PRIM, WIDER, shear, triangle_t
+from rtrace import nodes as layout
+from rtrace.nodes import Tree, words
+from traces import format as contract
+
+# Indices are uint64 throughout: Numba tests a signed index for wrap-around at every access, which made the kd-tree half as
+# fast. A plain integer next to a uint64 becomes signed, hence the names.
+ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE = (np.uint64(k) for k in range(10))
+LEAF = np.uint64(layout.LEAF)
+READ, PUSH, ENTER, PREFETCH = (
+    np.uint64(k) for k in (contract.READ, contract.PUSH, contract.LEAF, contract.PREFETCH)
+)
+
+#: Room for the events of a batch at first, per ray; a batch that needs more goes on in a further buffer.
+EVENTS_PER_RAY = 64
+
+
+class Rays(NamedTuple):
+    """A batch of rays; points of a ray are origin + t direction, t_min <= t <= t_max.
+
+    Attributes
+    ----------
+    origin, direction : (n, 3) float32
+        Directions need not have unit length; not zero, all components finite.
+    t_min, t_max : (n,) float64
+        0 <= t_min; an interval with t_min > t_max is empty.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    t_min: np.ndarray
+    t_max: np.ndarray
+
+
+class Hits(NamedTuple):
+    """What a batch of rays met.
+
+    Attributes
+    ----------
+    prim : (n,) int32
+        Triangle number, -1 for none.
+    t : (n,) float64
+        Ray parameter of the hit, infinity for none.
+    """
+
+    prim: np.ndarray
+    t: np.ndarray
+
+
+@kernel
+def _closest_in_leaf(prims, first, n_prims, tri, origin, ray, k, shear_, near_t, best, best_prim, any_hit):
+    """Test the triangles of a leaf; return the better of (best, best_prim) and the best hit among them."""
+    kx, ky, kz = k
+    sx, sy, sz = shear_
+    ox, oy, oz = np.float64(origin[ray + kx]), np.float64(origin[ray + ky]), np.float64(origin[ray + kz])
+    for i in range(first, first + n_prims):
+        c = prims[i]
+        t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
+        if t >= near_t and (t < best or (t == best and c < best_prim)):
+            best, best_prim = t, c
+            if any_hit:
+                break
+    return best, best_prim
+
+
+@kernel
+def _request_stack(stack, pp, events, n_events):
+    """Request the nodes below the pre-fetch pointer, from the top; return the number of events."""
+    while pp > ZERO:
+        pp -= ONE
+        events[n_events] = np.uint64(stack[pp]) << TWO | PREFETCH
+        n_events += ONE
+    return n_events
+
+
+@kernel
+def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_max, any_hit, first, prim, t, count, events):
+    """Trace rays ``first``... through a BVH; return the first ray that did not fit into ``events``, else their number.
+
+    The far child is pushed untested; a node is read and its own box tested when it is visited.
+    ``nodes`` and ``meta`` are the nodes as flat float32 and uint32; ``tri``, ``origin``, ``direction`` are flat.
+    ``prim``, ``t`` and ``count`` (accesses of each ray) are filled. Stores into ``events`` are unguarded: between two pops a
+    ray writes at most one event per level and one per stack entry, so room for that is checked at each pop.
+    """
+    stack = np.empty(max_level + 1, np.uint32)
+    n_events, limit = ZERO, ZERO
+    if events is not None:
+        limit = np.uint64(events.size - 2 * max_level - 3)
+    for i in range(np.uint64(first), np.uint64(t_min.size)):
+        start = n_events
+        if events is not None and n_events > limit:
+            return np.int64(i)
+        ray = i * THREE
+        dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
+        ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
+        ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
+        # Words of the box's near and far face, per axis. The sign comes from the inverse: the direction -0.0 has the inverse
+        # -inf, and -0.0 < 0 is false.
+        nx, fx = (THREE, ZERO) if ix < 0.0 else (ZERO, THREE)
+        ny, fy = (FOUR, ONE) if iy < 0.0 else (ONE, FOUR)
+        nz, fz = (FIVE, TWO) if iz < 0.0 else (TWO, FIVE)
+        # Bit k: the direction is negative along axis k, so the upper child of a node split there comes first.
+        backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
+        k, shear_ = shear(dx, dy, dz)
+        best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
+        sp, pp, node = ZERO, ZERO, ZERO
+        while True:
+            b = node * EIGHT
+            t0, t1 = near_t, best
+            # Comparing this way round, a NaN (0 * inf: the ray lies in a face's plane) never narrows the interval.
+            a = (nodes[b + nx] - ox) * ix
+            t0 = a if a > t0 else t0
+            a = (nodes[b + ny] - oy) * iy
+            t0 = a if a > t0 else t0
+            a = (nodes[b + nz] - oz) * iz
+            t0 = a if a > t0 else t0
+            a = (nodes[b + fx] - ox) * ix
+            t1 = a if a < t1 else t1
+            a = (nodes[b + fy] - oy) * iy
+            t1 = a if a < t1 else t1
+            a = (nodes[b + fz] - oz) * iz
+            t1 = a if a < t1 else t1
+            if t0 * NARROWER <= t1 * WIDER:
+                m, child = np.uint64(meta[b + SEVEN]), np.uint64(meta[b + SIX])
+                if m & THREE != LEAF:
+                    if events is not None:
+                        events[n_events] = node << TWO | PUSH
+                        n_events += ONE
+                    upper_first = backwards >> m & ONE
+                    stack[sp] = child + ONE - upper_first
+                    sp += ONE
+                    pp = sp
+                    node = child + upper_first
+                    continue
+                if events is not None:
+                    events[n_events] = node << TWO | ENTER
+                    n_events = _request_stack(stack, pp, events, n_events + ONE)
+                    pp = ZERO
+                best, best_prim = _closest_in_leaf(
+                    prims, child, m >> TWO, tri, origin, ray, k, shear_, near_t, best, best_prim, any_hit
+                )
+                if any_hit and best_prim != NO_PRIM:
+                    break
+            elif events is not None:
+                events[n_events] = node << TWO | READ
+                n_events += ONE
+            if sp == ZERO:
+                break
+            if events is not None and n_events > limit:
+                return np.int64(i)
+            sp -= ONE
+            pp = min(pp, sp)
+            node = np.uint64(stack[sp])
+        if events is not None:
+            count[i] = n_events - start
+        prim[i] = best_prim if best_prim != NO_PRIM else -1
+        t[i] = best if best_prim != NO_PRIM else np.inf
+    return t_min.size
+
+
+@kernel
+def trace_kdtree(nodes, meta, prims, tri, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, t, count, events):
+    """Trace rays ``first``... through a kd-tree; as ``trace_bvh``.
+
+    The test against the scene's box is free. A ray lying in a split plane visits both cells with its whole interval; a
+    popped entry that begins beyond the best hit is skipped, and never ends the ray, because such rays put entries on the
+    stack out of order.
+    """
+    stack = np.empty(max_level + 1, np.uint32)
+    entry = np.empty(max_level + 1, np.float64)
+    exit_ = np.empty(max_level + 1, np.float64)
+    n_events, limit = ZERO, ZERO
+    if events is not None:
+        limit = np.uint64(events.size - 2 * max_level - 3)
+    for i in range(np.uint64(first), np.uint64(t_min.size)):
+        start = n_events
+        if events is not None and n_events > limit:
+            return np.int64(i)
+        ray = i * THREE
+        dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
+        ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
+        ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
+        best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
+        t0, t1 = near_t, best
+        for axis in range(THREE):
+            o = ox if axis == ZERO else (oy if axis == ONE else oz)
+            inverse = ix if axis == ZERO else (iy if axis == ONE else iz)
+            near = ZERO if inverse >= 0.0 else THREE
+            a, z = (bounds[near + axis] - o) * inverse, (bounds[THREE - near + axis] - o) * inverse
+            t0 = a if a > t0 else t0
+            t1 = z if z < t1 else t1
+        t0 *= NARROWER
+        t1 *= WIDER
+        if t0 <= t1:
+            (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz)
+            okx, oky, okz = np.float64(origin[ray + kx]), np.float64(origin[ray + ky]), np.float64(origin[ray + kz])
+            sp, pp, node = ZERO, ZERO, ZERO
+            while True:
+                b = node * TWO
+                m = np.uint64(meta[b + ONE])
+                axis = m & THREE
+                if axis != LEAF:
+                    o = ox if axis == ZERO else (oy if axis == ONE else oz)
+                    inverse = ix if axis == ZERO else (iy if axis == ONE else iz)
+                    distance = nodes[b] - o
+                    a, z = distance * inverse * NARROWER, distance * inverse * WIDER
+                    low = a if a < z else z
+                    high = z if a < z else a
+                    upper_first = ONE if inverse < 0.0 else ZERO
+                    visits_near, visits_far = high >= t0, low <= t1
+                    if abs(inverse) == np.inf:  # parallel to the plane: one side for good, or, lying in it, both
+                        upper_first = ONE if distance <= 0.0 else ZERO
+                        visits_near, visits_far = True, distance == 0.0
+                        low, high = t0, t1
+                    child = m >> TWO
+                    near = child + upper_first
+                    far = child + ONE - upper_first
+                    if visits_near and visits_far:
+                        if events is not None:
+                            events[n_events] = node << TWO | PUSH
+                            n_events += ONE
+                        stack[sp] = far
+                        entry[sp] = low if low > t0 else t0
+                        exit_[sp] = t1
+                        sp += ONE
+                        pp = sp
+                        t1 = high if high < t1 else t1
+                        node = near
+                    else:
+                        if events is not None:
+                            events[n_events] = node << TWO | READ
+                            n_events += ONE
+                        node = near if visits_near else far
+                    continue
+                n_prims = m >> TWO
+                if events is not None:
+                    events[n_events] = node << TWO | ENTER
+                    n_events += ONE
+                    if n_prims > ZERO:
+                        while pp > ZERO:
+                            pp -= ONE
+                            events[n_events] = np.uint64(stack[pp]) << TWO | PREFETCH
+                            n_events += ONE
+                leaf = np.uint64(meta[b])
+                for j in range(leaf, leaf + n_prims):
+                    c = prims[j]
+                    h = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, okx, oky, okz, sx, sy, sz)
+                    if h >= near_t and (h < best or (h == best and c < best_prim)):
+                        best, best_prim = h, c
+                        if any_hit:
+                            break
+                if any_hit and best_prim != NO_PRIM:
+                    break
+                while sp > ZERO and entry[sp - ONE] > best:
+                    sp -= ONE
+                if sp == ZERO:
+                    break
+                if events is not None and n_events > limit:
+                    return np.int64(i)
+                sp -= ONE
+                pp = min(pp, sp)
+                node, t0, t1 = np.uint64(stack[sp]), entry[sp], exit_[sp]
+        if events is not None:
+            count[i] = n_events - start
+        prim[i] = best_prim if best_prim != NO_PRIM else -1
+        t[i] = best if best_prim != NO_PRIM else np.inf
+    return t_min.size
+
+
+@kernel
+def trace_brute(tri, origin, direction, t_min, t_max, prim, t):
+    """Closest hit against every triangle: the truth that both trees must reproduce bit by bit."""
+    for ray in range(t_min.size):
+        i = np.uint64(ray) * THREE
+        dx, dy, dz = np.float64(direction[i]), np.float64(direction[i + ONE]), np.float64(direction[i + TWO])
+        (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz)
+        ox, oy, oz = np.float64(origin[i + kx]), np.float64(origin[i + ky]), np.float64(origin[i + kz])
+        best, best_prim = t_max[ray], NO_PRIM
+        for c in range(tri.size // 9):
+            h = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
+            if h >= t_min[ray] and (h < best or (h == best and c < best_prim)):
+                best, best_prim = h, np.int32(c)
+        prim[ray] = best_prim if best_prim != NO_PRIM else -1
+        t[ray] = best if best_prim != NO_PRIM else np.inf
+
+
+def make_rays(origin: np.ndarray, direction: np.ndarray, t_min: float | np.ndarray = 0.0, t_max: float | np.ndarray = np.inf) -> Rays:
+    """Return checked rays; origins and intervals are broadcast to the directions.
+
+    Raises
+    ------
+    ValueError
+        A component is NaN or infinite, a direction is zero, or t_min is negative or NaN.
+    """
+    direction = np.ascontiguousarray(direction, np.float32).reshape(-1, 3)
+    n = len(direction)
+    origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origin, np.float32), (n, 3)))
+    low = np.ascontiguousarray(np.broadcast_to(np.asarray(t_min, np.float64), n))
+    high = np.ascontiguousarray(np.broadcast_to(np.asarray(t_max, np.float64), n))
+    for name, bad, rule in (
+        ("origin", ~np.isfinite(origin).all(axis=1), "all components must be finite"),
+        ("direction", ~np.isfinite(direction).all(axis=1), "all components must be finite"),
+        ("direction", ~direction.any(axis=1), "it must not be zero"),
+        ("t_min", ~(low >= 0.0), "it must be 0 or more"),
+        ("t_max", np.isnan(high), "it must be a number"),
+    ):
+        if bad.any():
+            i = int(np.flatnonzero(bad)[0])
+            value = {"origin": origin, "direction": direction, "t_min": low, "t_max": high}[name][i]
+            raise ValueError(f"ray {i} has {name} {value}: {rule}; {int(bad.sum())} of {n} rays are bad")
+    return Rays(origin, direction, low, high)
+
+
+def trace(tree: Tree, rays: Rays, *, any_hit: bool = False) -> Hits:
+    """Trace rays without recording accesses: the closest hits, or for ``any_hit`` the first hit found."""
+    return _trace(tree, rays, any_hit, None)[0]
+
+
+def trace_recorded(tree: Tree, rays: Rays, *, any_hit: bool = False) -> tuple[Hits, np.ndarray, np.ndarray]:
+    """Trace rays and record their node accesses.
+
+    Returns
+    -------
+    hits : Hits
+    count : (n,) uint32
+        Accesses of each ray, pre-fetch requests included.
+    events : (sum of count,) uint32
+        ``node << 2 | kind`` of all rays, in ray order.
+    """
+    n = len(rays.t_min)
+    return _trace(tree, rays, any_hit, np.empty(EVENTS_PER_RAY * n + 4 * tree.max_level + 64, np.uint32))
+
+
+def _trace(tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray | None) -> tuple[Hits, np.ndarray, np.ndarray]:
+    nodes, meta = words(tree)
+    n = len(rays.t_min)
+    prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.zeros(n, np.uint32)
+    fixed = (nodes, meta, tree.prims, tree.triangles.reshape(-1))
+    kernel_of = trace_bvh
+    if tree.kind == "kdtree":
+        kernel_of, fixed = trace_kdtree, (*fixed, tree.bounds.reshape(-1))
+    given = (rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max, any_hit)
+    first, pieces = 0, []
+    while first < n:
+        done = kernel_of(*fixed, tree.max_level, *given, first, prim, t, count, events)
+        if events is not None:
+            pieces.append(events[: int(count[first:done].sum())])
+            if done < n:  # a longer buffer each time: one ray may need more than the first one holds
+                events = np.empty(2 * events.size, np.uint32)
+        first = done
+    if len(pieces) > 1:
+        pieces = [np.concatenate(pieces)]
+    return Hits(prim, t), count, pieces[0] if pieces else np.empty(0, np.uint32)
+
+
+def trace_all(triangles: np.ndarray, rays: Rays) -> Hits:
+    """Return the closest hits by testing every triangle."""
+    n = len(rays.t_min)
+    prim, t = np.empty(n, np.int32), np.empty(n, np.float64)
+    trace_brute(triangles.reshape(-1), rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max, prim, t)
+    return Hits(prim, t)

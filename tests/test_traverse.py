@@ -1,0 +1,162 @@
+"""The traversal kernels against a slow reference (visits), brute force (hits), and themselves under exact transformations."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rtrace.bvh import build_bvh
+from rtrace.kdtree import build_kdtree
+from rtrace.procedural import boxes, height_field, icosphere, soup
+from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
+from tests.traversal_reference import events_of, traverse
+
+BUILDERS = {
+    "kdtree": build_kdtree,
+    "kdtree level 3": lambda triangles: build_kdtree(triangles, max_level=3),
+    "bvh sweep": build_bvh,
+    "bvh binned": lambda triangles: build_bvh(triangles, builder="binned"),
+}
+SCENES = {"icosphere": icosphere(2), "height field": height_field(8), "boxes": boxes(), "soup": soup(200, seed=1)}
+
+# Small integers make the cruel cases likely: rays in planes and edges, flat boxes, shared corners, duplicates.
+small = st.integers(-3, 3).map(float)
+point = st.tuples(small, small, small)
+triangle_lists = st.lists(st.tuples(point, point, point), min_size=1, max_size=24)
+directions = st.tuples(*[st.sampled_from([-2.0, -1.0, -0.0, 0.0, 1.0, 3.0])] * 3).filter(any)
+
+
+def camera_rays(triangles, n, seed):
+    """Rays from around the scene to points in it, and rays that start inside; a quarter parallel to an axis."""
+    rng = np.random.default_rng(seed)
+    lower, upper = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    size = upper - lower + 1e-3
+    origin = lower + size * rng.uniform(-1, 2, (n, 3))
+    direction = lower + size * rng.random((n, 3)) - origin
+    for axis in range(3):
+        direction[axis :: 12, axis], direction[axis :: 12, (axis + 1) % 3] = 0.0, -0.0
+    return make_rays(origin, direction)
+
+
+def assert_same_hits(got, want):
+    np.testing.assert_array_equal(got.prim, want.prim)
+    np.testing.assert_array_equal(got.t, want.t)  # bitwise: every structure runs the same triangle test
+
+
+@pytest.mark.parametrize("builder", BUILDERS)
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("any_hit", [False, True])
+def test_visits_equal_the_reference(scene, builder, any_hit):
+    triangles = SCENES[scene]
+    tree = BUILDERS[builder](triangles)
+    rays = camera_rays(triangles, 150, seed=7)
+    rays = rays._replace(t_max=np.where(np.arange(150) % 3 == 0, 1.0, np.inf))
+    hits, count, events = trace_recorded(tree, rays, any_hit=any_hit)
+    ends = np.cumsum(count)
+    n_hit = 0
+    for i in range(150):
+        want_prim, want_t, want = traverse(tree, rays.origin[i], rays.direction[i], 0.0, rays.t_max[i], any_hit)
+        assert events_of(events[ends[i] - count[i] : ends[i]]) == want
+        assert (hits.prim[i], hits.t[i]) == (want_prim, want_t)
+        n_hit += want_prim >= 0
+    assert 10 < n_hit < 150
+
+
+@given(triangle_lists, point, directions, st.booleans(), st.sampled_from(sorted(BUILDERS)))
+@settings(max_examples=300)
+def test_visits_and_hits_on_a_lattice(corners, origin, direction, any_hit, builder):
+    triangles = np.array(corners, np.float32)
+    tree = BUILDERS[builder](triangles)
+    rays = make_rays([origin], [direction])
+    hits, _, events = trace_recorded(tree, rays, any_hit=any_hit)
+    prim, t, want = traverse(tree, origin, direction, any_hit=any_hit)
+    assert events_of(events) == want
+    assert (hits.prim[0], hits.t[0]) == (prim, t)
+    truth = trace_all(triangles, rays)
+    if any_hit:
+        assert (hits.prim[0] >= 0) == (truth.prim[0] >= 0)
+    else:
+        assert_same_hits(hits, truth)
+
+
+@pytest.mark.parametrize("builder", BUILDERS)
+@pytest.mark.parametrize("scene", SCENES)
+def test_hits_equal_brute_force(scene, builder):
+    triangles = SCENES[scene]
+    rays = camera_rays(triangles, 3000, seed=11)
+    tree = BUILDERS[builder](triangles)
+    truth = trace_all(triangles, rays)
+    assert_same_hits(trace(tree, rays), truth)
+    np.testing.assert_array_equal(trace(tree, rays, any_hit=True).prim >= 0, truth.prim >= 0)
+
+
+@pytest.mark.parametrize("builder", ["kdtree", "bvh sweep"])
+def test_no_leaks_through_vertices_and_edges(builder):
+    triangles = icosphere(3)
+    corners = triangles.reshape(-1, 3)
+    edges = (triangles + np.roll(triangles, 1, axis=1)).reshape(-1, 3) / 2
+    rays = make_rays([0.1, -0.05, 0.2], np.concatenate([corners, edges]) - np.float32([0.1, -0.05, 0.2]))
+    assert (trace(BUILDERS[builder](triangles), rays).prim >= 0).all()
+
+
+@pytest.mark.parametrize("builder", ["kdtree", "bvh sweep"])
+def test_scale_mirror_and_axis_order_change_nothing(builder):
+    triangles = soup(300, seed=3)
+    rays = camera_rays(triangles, 500, seed=5)
+    want = trace(BUILDERS[builder](triangles), rays)
+    for scale in (2.0**-60, 2.0**40):
+        moved = make_rays(rays.origin * np.float32(scale), rays.direction)
+        got = trace(BUILDERS[builder](triangles * np.float32(scale)), moved)
+        np.testing.assert_array_equal(got.prim, want.prim)
+        np.testing.assert_array_equal(got.t, want.t * scale)
+    for axes, signs in (((1, 2, 0), (1, 1, 1)), ((0, 1, 2), (-1, 1, -1))):
+        turn = lambda p: np.ascontiguousarray(p[..., list(axes)] * np.float32(signs))  # noqa: E731
+        got = trace(BUILDERS[builder](turn(triangles)), make_rays(turn(rays.origin), turn(rays.direction)))
+        np.testing.assert_array_equal(got.prim, want.prim)
+        np.testing.assert_allclose(got.t, want.t, rtol=1e-12)
+
+
+def test_interval_ends_belong_to_the_interval():
+    triangles = np.float32([[[0, 0, 2], [1, 0, 2], [0, 1, 2]]])
+    for tree in (build_bvh(triangles), build_kdtree(triangles)):
+        for t_min, t_max, hit in ((0, 2, True), (2, 9, True), (2, 2, True), (0, 1.9999999, False), (2.0000001, 9, False), (3, 1, False)):
+            for any_hit in (False, True):
+                rays = make_rays([0.2, 0.2, 0], [[0, 0, 1]], t_min, t_max)
+                assert (trace(tree, rays, any_hit=any_hit).prim[0] == 0) == hit
+
+
+def test_the_lowest_number_wins_among_equal_hits():
+    one = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    triangles = np.stack([one + np.float32([0, 0, 1]), *[one] * 40, one[::-1]])
+    rays = make_rays([0.2, 0.2, -1], [[0, 0, 1]])
+    for build in BUILDERS.values():
+        assert trace(build(triangles), rays).prim[0] == 1
+
+
+def test_a_trace_longer_than_its_buffer_goes_on_in_another(monkeypatch):
+    triangles = SCENES["soup"]
+    rays = camera_rays(triangles, 400, seed=13)
+    for build in (build_bvh, build_kdtree):
+        tree = build(triangles)
+        want = trace_recorded(tree, rays)
+        monkeypatch.setattr("rtrace.traverse.EVENTS_PER_RAY", 0)
+        got = trace_recorded(tree, rays)
+        monkeypatch.undo()
+        np.testing.assert_array_equal(got[1], want[1])
+        np.testing.assert_array_equal(got[2], want[2])
+        assert_same_hits(got[0], want[0])
+        assert len(want[2]) > 400 and want[1].sum() == len(want[2])
+
+
+@pytest.mark.parametrize(
+    "origin, direction, t_min, words",
+    [
+        ([0, 0, 0], [[0, 0, 0]], 0, "must not be zero"),
+        ([np.nan, 0, 0], [[0, 0, 1]], 0, "finite"),
+        ([0, 0, 0], [[np.inf, 0, 1]], 0, "finite"),
+        ([0, 0, 0], [[0, 0, 1]], -1, "0 or more"),
+    ],
+)
+def test_bad_rays_are_refused(origin, direction, t_min, words):
+    with pytest.raises(ValueError, match=words):
+        make_rays(origin, direction, t_min)

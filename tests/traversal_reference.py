@@ -1,0 +1,193 @@
+"""A slow traverser in plain Python, written from the paper and the design, not from the kernels: the truth for visit lists.
+
+It keeps a stack of its own (a list) and a pre-fetch unit of its own (an object with the words of Park et al. 2013, Sec. 3).
+Python floats are IEEE doubles, so results are compared bit by bit.
+"""
+
+import math
+
+import numpy as np
+
+READ, PUSH, LEAF, PREFETCH = 0, 1, 2, 3
+PAD = 2.0**-40
+
+
+class PrefetchUnit:
+    """The node stack and the additional top pointer that the pre-fetching unit owns."""
+
+    def __init__(self):
+        self.stack = []
+        self.pointer = 0
+
+    def push(self, entry):
+        # "When the traversal unit inserts a node into the stack, it assigns the same position to the pre-fetching pointer"
+        self.stack.append(entry)
+        self.pointer = len(self.stack)
+
+    def pop(self):
+        entry = self.stack.pop()
+        self.pointer = min(self.pointer, len(self.stack))
+        return entry
+
+    def requests(self):
+        # "until every addresses in the stack is requested": the intersection test is assumed long enough
+        while self.pointer > 0:
+            self.pointer -= 1
+            yield self.stack[self.pointer][0]
+
+
+def divide(a, b):
+    """IEEE division: Python raises where hardware returns an infinity or NaN."""
+    if b != 0.0:
+        return a / b
+    if a == 0.0 or math.isnan(a):
+        return math.nan
+    return math.copysign(math.inf, a) * math.copysign(1.0, b)
+
+
+def triangle_hit(corners, origin, direction):
+    """Return t of Woop, Benthin, Wald 2013, or None."""
+    size = [abs(d) for d in direction]
+    kz = size.index(max(size))
+    kx, ky = (kz + 1) % 3, (kz + 2) % 3
+    shear_x, shear_y, scale = direction[kx] / direction[kz], direction[ky] / direction[kz], 1.0 / direction[kz]
+    moved = [[corner[k] - origin[k] for k in range(3)] for corner in corners]
+    (ax, ay), (bx, by), (cx, cy) = [(p[kx] - shear_x * p[kz], p[ky] - shear_y * p[kz]) for p in moved]
+    u, v, w = cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax
+    if min(u, v, w) < 0 < max(u, v, w):
+        return None
+    det = u + v + w
+    if det == 0.0:
+        return None
+    return (u * moved[0][kz] + v * moved[1][kz] + w * moved[2][kz]) * scale / det
+
+
+class Nearest:
+    """The best hit so far: smallest t in [t_min, t_max], then smallest triangle number."""
+
+    def __init__(self, t_min, t_max):
+        self.t_min, self.t, self.prim = t_min, t_max, None
+
+    def offer(self, t, prim):
+        if t is None or not self.t_min <= t <= self.t:
+            return
+        if t < self.t or self.prim is None or prim < self.prim:
+            self.t, self.prim = t, prim
+
+    def answer(self):
+        return (-1, math.inf) if self.prim is None else (self.prim, self.t)
+
+
+def box_interval(lower, upper, origin, direction, t_min, t_max):
+    """Return the ray's interval in a box; a face in whose plane the ray lies does not narrow it."""
+    for k in range(3):
+        inverse = divide(1.0, direction[k])
+        near, far = (lower[k], upper[k]) if inverse >= 0 else (upper[k], lower[k])
+        enters, leaves = times(near - origin[k], inverse), times(far - origin[k], inverse)
+        if not math.isnan(enters):
+            t_min = max(t_min, enters)
+        if not math.isnan(leaves):
+            t_max = min(t_max, leaves)
+    return t_min * (1 - PAD), t_max * (1 + PAD)
+
+
+def times(a, b):
+    return math.nan if a == 0.0 and math.isinf(b) else a * b
+
+
+def traverse(tree, origin, direction, t_min=0.0, t_max=math.inf, any_hit=False):
+    """Return (prim, t, [(node, kind), ...]) for one ray."""
+    origin, direction = [float(x) for x in origin], [float(x) for x in direction]
+    walk = _traverse_bvh if tree.kind == "bvh" else _traverse_kdtree
+    best, events = Nearest(t_min, t_max), []
+    walk(tree, origin, direction, best, any_hit, events)
+    return (*best.answer(), events)
+
+
+def _test_leaf(tree, first, count, origin, direction, best, any_hit):
+    for prim in tree.prims[first : first + count]:
+        best.offer(triangle_hit(tree.triangles[prim].astype(float).tolist(), origin, direction), int(prim))
+        if any_hit and best.prim is not None:
+            return True
+    return False
+
+
+def _traverse_bvh(tree, origin, direction, best, any_hit, events):
+    unit = PrefetchUnit()
+    number = 0
+    while number is not None:
+        node = tree.nodes[number]
+        lower, upper = node["lower"].astype(float).tolist(), node["upper"].astype(float).tolist()
+        enters, leaves = box_interval(lower, upper, origin, direction, best.t_min, best.t)
+        child, axis, count = int(node["child"]), int(node["meta"]) & 3, int(node["meta"]) >> 2
+        if not enters <= leaves:
+            events.append((number, READ))
+        elif axis != 3:
+            events.append((number, PUSH))
+            backwards = divide(1.0, direction[axis]) < 0
+            number, second = (child + 1, child) if backwards else (child, child + 1)
+            unit.push((second,))
+            continue
+        else:
+            events.append((number, LEAF))
+            if count:
+                events.extend((n, PREFETCH) for n in unit.requests())
+            if _test_leaf(tree, child, count, origin, direction, best, any_hit):
+                return
+        number = unit.pop()[0] if unit.stack else None
+
+
+def _traverse_kdtree(tree, origin, direction, best, any_hit, events):
+    lower, upper = (b.astype(float).tolist() for b in tree.bounds)
+    enters, leaves = box_interval(lower, upper, origin, direction, best.t_min, best.t)
+    if not enters <= leaves:
+        return
+    unit = PrefetchUnit()
+    number = 0
+    while True:
+        node = tree.nodes[number]
+        meta = int(node["meta"])
+        axis = meta & 3
+        if axis == 3:
+            events.append((number, LEAF))
+            count = meta >> 2
+            if count:
+                events.extend((n, PREFETCH) for n in unit.requests())
+            if _test_leaf(tree, int(node["first"]), count, origin, direction, best, any_hit):
+                return
+            while unit.stack:
+                number, enters, leaves = unit.pop()
+                if enters <= best.t:
+                    break
+            else:
+                return
+            continue
+        below, above = meta >> 2, (meta >> 2) + 1
+        distance = float(node["split"]) - origin[axis]
+        if direction[axis] == 0.0:
+            # Parallel: one side for good, or, lying in the plane, both with the whole interval.
+            near, far = (above, below) if distance <= 0 else (below, above)
+            visits = [(near, enters, leaves)] + ([(far, enters, leaves)] if distance == 0 else [])
+        else:
+            near, far = (below, above) if direction[axis] > 0 else (above, below)
+            at = distance * divide(1.0, direction[axis])
+            sooner, later = sorted((at * (1 - PAD), at * (1 + PAD)))
+            visits = []
+            if later >= enters:
+                visits.append((near, enters, min(leaves, later)))
+            if sooner <= leaves:
+                visits.append((far, max(enters, sooner), leaves))
+            if len(visits) == 1:
+                visits = [(visits[0][0], enters, leaves)]
+        if len(visits) == 2:
+            events.append((number, PUSH))
+            unit.push(visits[1])
+        else:
+            events.append((number, READ))
+        number, enters, leaves = visits[0]
+
+
+def events_of(packed):
+    """Unpack ``node << 2 | kind``."""
+    packed = np.asarray(packed)
+    return list(zip((packed >> 2).tolist(), (packed & 3).tolist(), strict=True))

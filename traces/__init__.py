@@ -1,0 +1,1 @@
+"""The contract between the stages: what a run on disk is, how it is written and read."""

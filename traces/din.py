@@ -1,0 +1,249 @@
+"""DineroIV traces, text and binary: x.din -> (address, size, label) batch by batch; a run -> x.din that DineroIV can replay.
+
+Text (its input format ``d``) is one access a line, ``label address`` in hexadecimal, 0x allowed; whatever follows on the line
+is ignored. Binary (format ``b``) is records of eight bytes: address uint32, size uint16, label uint8, one byte unused, little
+endian. As DineroIV does, a text access is taken as 4 bytes at ``address & ~3``. Unlike DineroIV, blank lines and CRLF are
+allowed, and an address over 32 bits is an error instead of being cut off.
+
+Labels: 0 read, 2 instruction fetch, 3 miscellaneous (a read that triggers nothing), b an explicit pre-fetch (8 | 3). Nodes are
+read-only, so writes (1) and everything else are errors.
+"""
+
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from jit import kernel
+from traces.format import PREFETCH, Run
+
+LABELS = (0x0, 0x2, 0x3, 0xB)
+TEXT_ACCESS_BYTES = 4
+
+#: How an export labels the pre-fetch requests of a run; None leaves them out.
+PREFETCH_LABELS = {"b": 0xB, "read": 0x0, "misc": 0x3, "omit": None}
+
+RECORD = np.dtype([("address", "<u4"), ("size", "<u2"), ("label", "u1"), ("pad", "u1")])
+
+_CHUNK_BYTES = 1 << 22  # 4 MB of text is about half a million accesses
+_HEX = np.full(256, 255, np.uint8)
+for _digit, _char in enumerate("0123456789abcdef"):
+    _HEX[ord(_char)] = _HEX[ord(_char.upper())] = _digit
+_OK, _BAD_LABEL, _BAD_ADDRESS, _WIDE_ADDRESS = range(4)
+
+
+class DinError(ValueError):
+    """A trace that cannot be read or written; the message has the line, the rule and the way out."""
+
+
+class DinTrace:
+    """A DineroIV trace on disk. It is read in chunks, so memory does not grow with its length."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        try:
+            with open(self.path, "rb") as file:
+                head = file.read(4096)
+        except OSError as e:
+            raise DinError(f"cannot read {self.path}: {e.strerror}; give a DineroIV trace or a run's directory") from e
+        if not head.strip():
+            raise DinError(f"{self.path} holds no access; a trace has lines such as `0 1a2b40`")
+        self.is_binary = b"\0" in head  # text has no zero byte; a record has one in its unused byte
+
+    def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray | int, np.ndarray]]:
+        """Yield (address uint32, size in bytes, label uint8); the size is one number for text, an array for binary."""
+        return self._binary() if self.is_binary else self._text()
+
+    def _chunks(self) -> Iterator[bytes]:
+        try:
+            with open(self.path, "rb") as file:
+                while chunk := file.read(_CHUNK_BYTES):
+                    yield chunk
+        except OSError as e:
+            raise DinError(f"cannot read {self.path}: {e.strerror}") from e
+
+    def _text(self) -> Iterator[tuple[np.ndarray, int, np.ndarray]]:
+        rest, lines_before = b"", 0
+        for chunk in self._chunks():
+            text, newline, rest_after = (rest + chunk).rpartition(b"\n")
+            if len(rest_after) > _CHUNK_BYTES // 4:
+                raise DinError(f"{self.path}: line {lines_before + 1} or a later one has no end; this is not a trace")
+            rest = rest_after
+            if newline:
+                yield self._parse(text + newline, lines_before)
+                lines_before += text.count(b"\n") + 1
+        if rest:
+            yield self._parse(rest + b"\n", lines_before)
+
+    def _parse(self, text: bytes, lines_before: int) -> tuple[np.ndarray, int, np.ndarray]:
+        data = np.frombuffer(text, np.uint8)
+        address = np.empty(text.count(b"\n"), np.uint32)
+        label = np.empty(address.size, np.uint8)
+        n, n_lines, error = parse(data, _HEX, address, label)
+        if error:
+            bad = text.split(b"\n", n_lines + 1)[n_lines].strip().decode("ascii", "replace")
+            raise DinError(f"{self.path}, line {lines_before + n_lines + 1}: {_explain(error, bad)}")
+        return address[:n], TEXT_ACCESS_BYTES, label[:n]
+
+    def _binary(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        done = 0
+        for chunk in self._chunks():
+            if len(chunk) % RECORD.itemsize:
+                raise DinError(f"{self.path} is cut off: its size is not a whole number of {RECORD.itemsize}-byte records")
+            records = np.frombuffer(chunk, RECORD)
+            wrong = ~np.isin(records["label"], LABELS) | (records["size"] == 0)
+            if wrong.any():
+                at = int(np.argmax(wrong))
+                label, size = int(records["label"][at]), int(records["size"][at])
+                reason = _explain(_BAD_LABEL, f"{label:x}") if label not in LABELS else f"a size of {size} B reads nothing"
+                raise DinError(f"{self.path}, record {done + at + 1}: {reason}")
+            done += records.size
+            yield tuple(np.ascontiguousarray(records[name]) for name in ("address", "size", "label"))  # type: ignore[misc]
+
+
+def _explain(error: int, line: str) -> str:
+    fields = line.split()
+    if error == _BAD_LABEL:
+        label = fields[0]
+        known = "labels are 0 (read), 2 (instruction fetch), 3 (misc) and b (pre-fetch)"
+        try:
+            kind = {1: "a write, and nodes are read-only", 8: "DineroIV's end mark"}.get(int(label, 16), "unknown")
+        except ValueError:
+            kind = "not hexadecimal"
+        return f"label {label[:40]} is {kind}; {known}"
+    address = fields[1][:40] if len(fields) > 1 else ""
+    if error == _WIDE_ADDRESS:
+        return f"address {address} has more than 32 bits, which DineroIV's traces cannot hold; rebase the trace"
+    found = f"{address!r} is not a hexadecimal address" if address else "the address is missing"
+    return f"{found}; write `label address`, as in `0 1a2b40`"
+
+
+@kernel
+def parse(text, digits, address, label):
+    """Parse whole lines of ``label address``; return (accesses, lines before the first bad one, error code).
+
+    ``digits`` maps a byte to its value as a hexadecimal digit, 255 for none.
+    """
+    n = n_lines = 0
+    i = 0
+    while i < text.size:
+        while text[i] == 32 or text[i] == 9 or text[i] == 13:
+            i += 1
+        if text[i] != 10:
+            value, first = np.uint64(0), i
+            while digits[text[i]] < 16 and i - first < 8:
+                value = value * np.uint64(16) + np.uint64(digits[text[i]])
+                i += 1
+            is_end = text[i] == 32 or text[i] == 9 or text[i] == 13 or text[i] == 10
+            if i == first or not is_end or not (value == 0 or value == 2 or value == 3 or value == 11):
+                return n, n_lines, _BAD_LABEL
+            label[n] = value
+            while text[i] == 32 or text[i] == 9:
+                i += 1
+            if text[i] == 48 and (text[i + 1] == 120 or text[i + 1] == 88):
+                i += 2
+            value, first = np.uint64(0), i
+            while digits[text[i]] < 16:
+                value = value * np.uint64(16) + np.uint64(digits[text[i]])
+                if value >> np.uint64(32):
+                    return n, n_lines, _WIDE_ADDRESS
+                i += 1
+            if i == first or not (text[i] == 32 or text[i] == 9 or text[i] == 13 or text[i] == 10):
+                return n, n_lines, _BAD_ADDRESS
+            address[n] = value & np.uint64(0xFFFFFFFC)
+            n += 1
+            while text[i] != 10:
+                i += 1
+        i += 1
+        n_lines += 1
+    return n, n_lines, _OK
+
+
+def export_din(
+    run: Run,
+    out: Path | str,
+    *,
+    fmt: str = "text",
+    prefetch: str = "b",
+    addresses: np.ndarray | None = None,
+) -> int:
+    """Write a run as a DineroIV trace and return the number of accesses written; the file appears whole or not at all.
+
+    Parameters
+    ----------
+    run : Run
+    out : Path
+    fmt : str
+        ``"text"`` (for ``-informat d``) or ``"binary"`` (``-informat b``). Only binary keeps the size of a node: text
+        accesses are 4 bytes to DineroIV, so a node that spans lines counts once.
+    prefetch : str
+        The label of the pre-fetch requests: ``"b"``, ``"read"`` (0), ``"misc"`` (3), or ``"omit"``.
+    addresses : (n_nodes,) integer array, optional
+        Byte address of every node; as stored when None.
+    """
+    if fmt not in ("text", "binary"):
+        raise DinError(f"{fmt!r} is not a format of a DineroIV trace; choose text or binary")
+    if prefetch not in PREFETCH_LABELS:
+        raise DinError(f"{prefetch!r} is not a label for pre-fetches; choose one of {', '.join(PREFETCH_LABELS)}")
+    node_bytes = int(run.metadata["tree"]["node_bytes"])
+    if addresses is None:
+        addresses = run.columns("nodes", ["address"])["address"]
+    highest = int(addresses.max()) + node_bytes
+    if highest > 1 << 32:
+        raise DinError(f"{run.name} reaches address {highest:#x}; a DineroIV trace holds 32 bits, so move the layout down")
+    narrow = np.ascontiguousarray(addresses, np.uint32)
+    mark = PREFETCH_LABELS[prefetch]
+    labels = np.array([0, 0, 0, mark or 0], np.uint8)
+    out = Path(out)
+    temporary = out.with_name(f".{out.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+    written = 0
+    try:
+        with open(temporary, "wb") as file:
+            for nodes, kinds in run.batches():
+                if mark is None:
+                    keep = kinds != PREFETCH
+                    nodes, kinds = nodes[keep], kinds[keep]
+                where, what = narrow[nodes], labels[kinds]
+                file.write(_records(where, what, node_bytes) if fmt == "binary" else _lines(where, what))
+                written += where.size
+        temporary.replace(out)
+    except OSError as e:
+        raise DinError(f"cannot write {out}: {e.strerror}; nothing was kept") from e
+    finally:
+        temporary.unlink(missing_ok=True)
+    return written
+
+
+def _records(address: np.ndarray, label: np.ndarray, size: int) -> memoryview:
+    records = np.zeros(address.size, RECORD)
+    records["address"], records["size"], records["label"] = address, size, label
+    return memoryview(records.view(np.uint8))
+
+
+def _lines(address: np.ndarray, label: np.ndarray) -> memoryview:
+    text = np.empty(11 * address.size, np.uint8)  # label, blank, at most eight digits, newline
+    return memoryview(text[: format_lines(address, label, text)])
+
+
+@kernel
+def format_lines(address, label, text):
+    """Write ``label address`` lines in lower-case hexadecimal without leading zeros; return the number of bytes."""
+    n = 0
+    for i in range(address.size):
+        digit = label[i]
+        text[n] = 48 + digit if digit < 10 else 87 + digit
+        text[n + 1] = 32
+        n += 2
+        shift = 28
+        while shift > 0 and (address[i] >> np.uint32(shift)) == 0:
+            shift -= 4
+        while shift >= 0:
+            digit = np.uint8((address[i] >> np.uint32(shift)) & np.uint32(15))
+            text[n] = 48 + digit if digit < 10 else 87 + digit
+            n += 1
+            shift -= 4
+        text[n] = 10
+        n += 1
+    return n

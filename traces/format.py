@@ -1,0 +1,357 @@
+"""A run on disk: schema, writer and reader. Ray and node columns in, record batches out; imports neither stage.
+
+A run is one directory with four files (``traces/README.md`` describes every column):
+
+    accesses.parquet   one row per node access, in the order the hardware would issue them
+    rays.parquet       one row per ray, in the order they were shot
+    nodes.parquet      one row per tree node
+    image.png          the picture that was traced
+
+Node *numbers* are stored, not addresses: the address is chosen at replay. The footer of each Parquet file has the same
+metadata under the key ``nptrace``, without a time stamp, so the same command gives the same bytes.
+"""
+
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+FORMAT_VERSION = 1
+ROW_GROUP = 1 << 20  # rows: 5 MB of node and kind, which stays in a core's share of the last-level cache
+METADATA_KEY = b"nptrace"
+
+#: The kinds of an access. 0-2 are the demand stream (the paper's configuration A); with 3 it is configuration B.
+READ, PUSH, LEAF, PREFETCH = range(4)
+
+#: The types of a ray.
+PRIMARY, SHADOW = range(2)
+
+
+def _field(name: str, type_: pa.DataType, meaning: str) -> pa.Field:
+    return pa.field(name, type_, nullable=False, metadata={"meaning": meaning})
+
+
+ACCESSES = pa.schema(
+    [
+        _field("ray", pa.uint32(), "number of the ray, ascending"),
+        _field("node", pa.uint32(), "number of the node read or requested"),
+        _field("kind", pa.uint8(), "0 read; 1 read, one child pushed; 2 leaf entered; 3 pre-fetch request"),
+    ]
+)
+RAYS = pa.schema(
+    [
+        _field("ray", pa.uint32(), "number of the ray: its row"),
+        _field("x", pa.uint16(), "pixel column, 0 at the left"),
+        _field("y", pa.uint16(), "pixel row, 0 at the top"),
+        _field("type", pa.uint8(), "0 primary; 1 shadow"),
+        _field("first", pa.uint64(), "row of its first access in accesses.parquet"),
+        _field("count", pa.uint32(), "number of its accesses, pre-fetches included"),
+        _field("prim", pa.int32(), "triangle hit (shadow: the occluder found), -1 for none"),
+        _field("t", pa.float32(), "ray parameter of the hit, infinity for none"),
+    ]
+)
+NODES = pa.schema(
+    [
+        _field("node", pa.uint32(), "number of the node: its row"),
+        _field("parent", pa.int32(), "number of its parent, -1 for the root"),
+        _field("level", pa.uint16(), "steps from the root"),
+        _field("axis", pa.uint8(), "split axis 0, 1, 2; 3 for a leaf"),
+        _field("n_prims", pa.uint32(), "triangles in the leaf; 0 for an inner node or an empty leaf"),
+        _field("address", pa.uint64(), "byte address as stored: node number x node size"),
+    ]
+)
+SPLIT = [_field("split", pa.float32(), "kd-tree: position of the split plane; NaN for a leaf")]
+BOX = [_field(f"{end}_{axis}", pa.float32(), "BVH: the node's box") for axis in "xyz" for end in ("min", "max")]
+
+FILES = ("accesses.parquet", "rays.parquet", "nodes.parquet", "image.png")
+
+# Measured best (feasibility study): neighbouring rays repeat whole paths, which zstd finds in plain node numbers and
+# which a dictionary or a delta would hide from it.
+_ENCODING: dict[str, Any] = {
+    "accesses": {"use_dictionary": ["kind"], "column_encoding": {"ray": "DELTA_BINARY_PACKED", "node": "PLAIN"}},
+    "rays": {
+        "use_dictionary": ["type", "y"],
+        "column_encoding": {"ray": "DELTA_BINARY_PACKED", "first": "DELTA_BINARY_PACKED"},
+    },
+    "nodes": {
+        "use_dictionary": ["axis"],
+        "column_encoding": {"node": "DELTA_BINARY_PACKED", "address": "DELTA_BINARY_PACKED"},
+    },
+}
+
+
+class RunError(ValueError):
+    """A directory that is not a readable run; the message says what is wrong and what to do."""
+
+
+class _Table:
+    """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces handed over."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self.schema = schema
+        self.n_rows = 0
+        self._buffers = [np.empty(ROW_GROUP, field.type.to_pandas_dtype()) for field in schema]
+        self._filled = 0
+        self._writer = pq.ParquetWriter(
+            path, schema, compression="zstd", compression_level=1, write_statistics=True,
+            write_page_checksum=True, **_ENCODING[path.stem],
+        )  # fmt: skip
+
+    def append(self, columns: Mapping[str, np.ndarray]) -> None:
+        pieces = [columns[name] for name in self.schema.names]
+        n = pieces[0].shape[0]
+        start = 0
+        while start < n:
+            room = min(ROW_GROUP - self._filled, n - start)
+            for buffer, piece in zip(self._buffers, pieces, strict=True):
+                buffer[self._filled : self._filled + room] = piece[start : start + room]
+            self._filled += room
+            start += room
+            if self._filled == ROW_GROUP:
+                self._flush()
+        self.n_rows += n
+
+    def _flush(self) -> None:
+        arrays = [pa.array(buffer[: self._filled]) for buffer in self._buffers]
+        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self.schema), row_group_size=ROW_GROUP)
+        self._filled = 0
+
+    def close(self, metadata: bytes) -> None:
+        if self._filled:
+            self._flush()
+        self._writer.add_key_value_metadata({METADATA_KEY: metadata})
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Close the file handle and ignore what it says: the file is about to be deleted."""
+        try:
+            self._writer.close()
+        except (OSError, pa.ArrowException):
+            pass
+
+
+class RunWriter:
+    """Write one run; as a context manager the run appears whole at the end, or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The run's directory. An earlier run there is replaced at the end; any other directory is refused.
+    metadata : dict
+        JSON values for the footers: scene, camera, tree, order, command. The counts and the format version are added here.
+    node_fields : list of pyarrow.Field
+        ``SPLIT`` or ``BOX``: the columns of ``nodes.parquet`` that depend on the tree.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, Any], node_fields: list[pa.Field]) -> None:
+        self.path = Path(path)
+        self._metadata = dict(metadata)
+        self._node_fields = node_fields
+
+    def __enter__(self) -> "RunWriter":
+        if self.path.exists() and not _looks_like_run(self.path):
+            raise RunError(f"{self.path} exists and is not a run; choose another --out or remove it")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            _sweep(self.path)
+            self._temp = self.path.parent / f".{self.path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp"
+            self._temp.mkdir()
+        except OSError as e:
+            raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
+        self._tables: dict[str, _Table] = {}
+        for name, schema in (("accesses", ACCESSES), ("rays", RAYS)):
+            self._tables[name] = _Table(self._temp / f"{name}.parquet", schema)
+        nodes = pa.schema([*NODES, *self._node_fields])
+        self._tables["nodes"] = _Table(self._temp / "nodes.parquet", nodes)
+        return self
+
+    def append(self, table: str, columns: Mapping[str, np.ndarray]) -> None:
+        """Append rows to ``accesses``, ``rays`` or ``nodes``: one array per column of the schema, all of one length."""
+        self._tables[table].append(columns)
+
+    def image(self, png: bytes) -> None:
+        """Store the picture."""
+        (self._temp / "image.png").write_bytes(png)
+
+    def __exit__(self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: object) -> None:
+        if exc_type is None:
+            try:
+                self._commit()
+                return
+            except BaseException as e:
+                self._discard()
+                if isinstance(e, OSError):
+                    raise RunError(f"cannot write {self.path}: {e}; nothing was kept") from e
+                raise
+        self._discard()
+        if isinstance(exc, OSError) and not isinstance(exc, RunError):
+            raise RunError(f"cannot write {self.path}: {exc}; nothing was kept") from exc
+
+    def _commit(self) -> None:
+        counts = {f"n_{name}": table.n_rows for name, table in self._tables.items()}
+        metadata = {"format_version": FORMAT_VERSION, **self._metadata, **counts}
+        text = json.dumps(metadata, sort_keys=True).encode()
+        for table in self._tables.values():
+            table.close(text)
+        for _ in range(100):  # another render may put its run there between the two renames
+            try:
+                if self.path.exists():
+                    old = self._temp.with_suffix(".old")
+                    self.path.rename(old)
+                    shutil.rmtree(old, ignore_errors=True)
+                self._temp.rename(self.path)
+                return
+            except (FileNotFoundError, FileExistsError, OSError) as e:
+                if not self._temp.exists() or not self.path.exists():
+                    raise e
+        raise RunError(f"cannot replace {self.path}: other programs keep writing it; choose another --out")
+
+    def _discard(self) -> None:
+        for table in self._tables.values():
+            table.abandon()
+        shutil.rmtree(self._temp, ignore_errors=True)
+
+
+def _looks_like_run(path: Path) -> bool:
+    if not path.is_dir():
+        return False
+    names = {p.name for p in path.iterdir()}
+    return names <= set(FILES) and (not names or "accesses.parquet" in names)
+
+
+def _sweep(path: Path) -> None:
+    """Delete what killed processes left beside ``path``; put back a run that was moved aside when its writer was killed."""
+    for left in path.parent.glob(f".{path.name}.*-*"):
+        pid = left.name[len(path.name) + 2 :].partition("-")[0]
+        if left.suffix not in (".tmp", ".old") or not pid.isdigit() or _is_alive(int(pid)):
+            continue
+        if left.suffix == ".old" and not path.exists():
+            left.rename(path)
+        else:
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _is_alive(pid: int) -> bool:
+    if os.name != "posix" or pid == os.getpid():
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+class Run:
+    """A complete run, opened for reading. ``metadata`` is the footer's JSON; the arrays are read when asked for."""
+
+    def __init__(self, path: Path, files: dict[str, pq.ParquetFile], metadata: dict[str, Any]) -> None:
+        self.path = path
+        self.metadata = metadata
+        self._files = files
+
+    @property
+    def name(self) -> str:
+        """The directory's name, ``<scene>-<tree>``."""
+        return self.path.name
+
+    @property
+    def n_accesses(self) -> int:
+        """Rows of ``accesses.parquet``, pre-fetches included."""
+        return int(self.metadata["n_accesses"])
+
+    def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
+        """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays."""
+        try:
+            read = self._files[table].read(columns=names)
+        except (OSError, pa.ArrowException) as e:
+            raise _damaged(self.path / f"{table}.parquet", e) from e
+        return {name: read.column(name).to_numpy() for name in read.column_names}
+
+    def batches(self, names: tuple[str, ...] = ("node", "kind")) -> Iterator[tuple[np.ndarray, ...]]:
+        """Yield the named columns of ``accesses`` row group by row group; the next group is decoded meanwhile."""
+        file = self._files["accesses"]
+        n_groups = file.num_row_groups
+
+        def read(group: int) -> tuple[np.ndarray, ...]:
+            table = file.read_row_group(group, columns=list(names), use_threads=False)
+            return tuple(table.column(name).to_numpy() for name in names)
+
+        with ThreadPoolExecutor(1) as pool:
+            ahead = pool.submit(read, 0) if n_groups else None
+            for group in range(n_groups):
+                assert ahead is not None
+                try:
+                    batch = ahead.result()
+                except (OSError, pa.ArrowException) as e:
+                    raise _damaged(self.path / "accesses.parquet", e) from e
+                ahead = pool.submit(read, group + 1) if group + 1 < n_groups else None
+                yield batch
+
+
+def open_run(path: Path | str) -> Run:
+    """Open a run and check that it is whole: all files, one format version, one metadata, the stated row counts.
+
+    Raises
+    ------
+    RunError
+        The directory is missing, half-written, damaged, or of another format version.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise RunError(f"{path} is not a run directory; make one with `nptrace render`, or list them with `ls traces`")
+    missing = [name for name in FILES if not (path / name).is_file()]
+    if missing:
+        raise RunError(f"{path} is not a complete run: {', '.join(missing)} missing; render it again")
+    files, texts = {}, set()
+    for name in ("accesses", "rays", "nodes"):
+        file = path / f"{name}.parquet"
+        try:
+            files[name] = pq.ParquetFile(file, page_checksum_verification=True, memory_map=True)
+        except (OSError, pa.ArrowException) as e:
+            raise _damaged(file, e) from e
+        texts.add((files[name].metadata.metadata or {}).get(METADATA_KEY))
+    if None in texts:
+        raise RunError(f"{path} was not written by nptrace: a Parquet footer has no '{METADATA_KEY.decode()}' entry")
+    if len(texts) > 1:
+        raise RunError(f"{path} mixes the files of different runs; render it again")
+    try:
+        metadata = json.loads(texts.pop())
+    except ValueError as e:
+        raise _damaged(path, e) from e
+    version = metadata.get("format_version")
+    if version != FORMAT_VERSION:
+        raise RunError(f"{path} has format version {version}, this program reads {FORMAT_VERSION}; render it again")
+    for name, file in files.items():
+        found = dict(zip(file.schema_arrow.names, file.schema_arrow.types, strict=True))
+        for field in {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}[name]:
+            if found.get(field.name) != field.type:
+                raise RunError(f"{path / name}.parquet has no {field.type} column '{field.name}'; render it again")
+        if file.metadata.num_rows != metadata[f"n_{name}"]:
+            raise RunError(
+                f"{path / name}.parquet has {file.metadata.num_rows} rows, its footer says {metadata[f'n_{name}']}; "
+                "render it again"
+            )
+    return Run(path, files, metadata)
+
+
+def find_runs(folder: Path | str) -> list[Path]:
+    """Return the run directories directly under ``folder``, by name."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        return []
+    found = (p for p in folder.iterdir() if p.is_dir() and not p.name.startswith((".", "_")))
+    return sorted(p for p in found if any((p / name).exists() for name in FILES))
+
+
+def _damaged(path: Path, error: Exception) -> RunError:
+    return RunError(f"{path} is damaged ({str(error).splitlines()[0]}); render it again")
