@@ -1,0 +1,68 @@
+"""The one Numba decorator of the project, with a compile cache that cannot be stale.
+
+Numba's own cache looks only at the file that holds a kernel: a kernel that calls another module keeps running the old
+code after that module changed. So the cache folder is named by a hash of every file that holds a kernel, and of the
+versions that compile it. A changed source is another folder.
+"""
+
+import hashlib
+import os
+import sys
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import numba
+import numpy as np
+from platformdirs import user_cache_path
+
+_HERE = Path(__file__).parent
+_KEPT_FOLDERS = 4  # compiled sets of earlier sources; older ones are deleted
+
+
+def kernel_digest() -> str:
+    """Hash of every source file with a kernel, of Python, NumPy and Numba, and of the bounds-check setting."""
+    digest = hashlib.sha256()
+    for version in (sys.version, np.__version__, numba.__version__, os.environ.get("NUMBA_BOUNDSCHECK", "")):
+        digest.update(version.encode() + b"\0")
+    for path in sorted([*_HERE.glob("rtrace/*.py"), *_HERE.glob("cachesim/*.py"), Path(__file__)]):
+        source = path.read_bytes()
+        if b"@kernel" in source:
+            digest.update(path.name.encode() + b"\0" + source)
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder() -> Path:
+    """Return a writable folder for the compiled kernels of these sources: $NUMBA_CACHE_DIR, the user's cache, or a temporary one."""
+    root = os.environ.get("NUMBA_CACHE_DIR")
+    candidates = [Path(root)] if root else [user_cache_path("nptrace") / "kernels"]
+    candidates.append(Path(tempfile.gettempdir()) / f"nptrace-kernels-{os.getuid() if hasattr(os, 'getuid') else 'user'}")
+    for candidate in candidates:
+        folder = candidate / kernel_digest()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError:
+            continue
+        return folder
+    return Path(tempfile.mkdtemp(prefix="nptrace-kernels-"))
+
+
+def _forget_old(folder: Path) -> None:
+    """Delete the compiled sets of earlier sources, except the newest few."""
+    import shutil
+
+    os.utime(folder)
+    others = [p for p in folder.parent.iterdir() if p.is_dir() and len(p.name) == len(folder.name) and p != folder]
+    for old in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[_KEPT_FOLDERS - 1 :]:
+        shutil.rmtree(old, ignore_errors=True)
+
+
+CACHE_FOLDER = _cache_folder()
+_forget_old(CACHE_FOLDER)
+numba.config.CACHE_DIR = str(CACHE_FOLDER)
+
+#: Decorator of every kernel: compiled once per source, releases the GIL, divides by zero as IEEE 754 does, no fastmath
+#: (so no fused multiply-add: the counts are the same on every machine).
+kernel = partial(numba.njit, cache=True, nogil=True, error_model="numpy")
