@@ -17,6 +17,7 @@ import numpy as np
 from platformdirs import user_cache_path
 
 _HERE = Path(__file__).parent
+_PACKAGES = ("rtrace", "traces", "cachesim")
 _KEPT_FOLDERS = 4  # compiled sets of earlier sources; older ones are deleted
 
 
@@ -25,7 +26,7 @@ def kernel_digest() -> str:
     digest = hashlib.sha256()
     for version in (sys.version, np.__version__, numba.__version__, os.environ.get("NUMBA_BOUNDSCHECK", "")):
         digest.update(version.encode() + b"\0")
-    for path in sorted([*_HERE.glob("rtrace/*.py"), *_HERE.glob("cachesim/*.py"), Path(__file__)]):
+    for path in sorted([*(p for package in _PACKAGES for p in _HERE.glob(f"{package}/*.py")), Path(__file__)]):
         source = path.read_bytes()
         if b"@kernel" in source:
             digest.update(path.name.encode() + b"\0" + source)

@@ -38,15 +38,6 @@ _WAITING, _NODES, _REFS, _PENDING, _DEEPEST = range(5)
 _DONE, _OUT_OF_NODES, _OUT_OF_PRIMS, _OUT_OF_EVENTS = range(4)
 
 
-class _Limits(NamedTuple):
-    """Costs and caps. Costs are counted in intersections."""
-
-    trav: float
-    empty_bonus: float
-    max_level: int
-    max_refs: int
-
-
 class _Cells(NamedTuple):
     """The stack of cells that wait to be split, flat arrays. The top one's events are the last in the arena."""
 
@@ -86,7 +77,7 @@ def _half_area(boxes, cell):
 
 
 @kernel
-def _sweep(events, axis, begin, end, boxes, cell, n, limits, best):
+def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
     """Return the cheapest plane across one axis, (cost, plane, n_below, n_above), or ``best`` when that is as cheap.
 
     Costs are in intersections x half the cell's area; half a child's area is linear in the position: cap + rim * length.
@@ -100,12 +91,12 @@ def _sweep(events, axis, begin, end, boxes, cell, n, limits, best):
     y, z = 6 * cell + (axis + 1) % 3, 6 * cell + (axis + 2) % 3
     dy, dz = boxes[y + 3] - boxes[y], boxes[z + 3] - boxes[z]
     cap, rim = dy * dz, dy + dz
-    fixed = limits.trav * (cap + (hi - lo) * rim)
+    fixed = trav * (cap + (hi - lo) * rim)
     below, above = np.int64(0), n
     first, last = value(events[axis, begin] >> 32), value(events[axis, end - 1] >> 32)
 
     # Only the first and the last plane can leave a child empty.
-    trial = limits.empty_bonus * (fixed + (cap + (hi - first) * rim) * n)
+    trial = empty_bonus * (fixed + (cap + (hi - first) * rim) * n)
     if trial < cost and first > lo:
         cost, plane, n_below, n_above = trial, (events[axis, begin] & _PLACE) + _PLANAR, below, above
     i, stop = np.uint64(begin), np.uint64(end)  # unsigned: no test for a negative index, 15 % of a sweep
@@ -135,8 +126,8 @@ def _sweep(events, axis, begin, end, boxes, cell, n, limits, best):
                 cost, plane, n_below, n_above = trial, (event & _PLACE) + _PLANAR, below, above
             below += planar
             above -= planar
-    trial = limits.empty_bonus * (fixed + (cap + (last - lo) * rim) * n)
-    if trial < cost and last < hi:
+    trial = empty_bonus * (fixed + (cap + (last - lo) * rim) * n)
+    if last < hi and (trial < cost or (trial == cost < best[0] and plane >> 32 == events[axis, end - 1] >> 32)):
         cost, plane, n_below, n_above = trial, (events[axis, end - 1] & _PLACE) + _START, below, above
     return cost, plane, n_below, n_above
 
@@ -258,8 +249,12 @@ def _list_triangles(events, begin, end, fresh):
 
 @kernel
 def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state):
-    """Split cells until none waits (_DONE) or an array is too short for the next step: let it grow and call again."""
+    """Split cells until none waits (_DONE) or an array is too short for the next step: let it grow and call again.
+
+    Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs).
+    """
     # Unpacked here: a kernel that takes an array out of a tuple counts references, 10 % of the time.
+    trav, empty_bonus, max_level, max_refs = limits
     cell_node, cell_level, cell_refs, ceiling, begin, end, boxes = cells
     side, slot, straddlers, bounds, below, above, kept, cut, fresh, spare, counts, points = scratch
     while state[_WAITING] > 0:
@@ -271,9 +266,9 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
             return _OUT_OF_PRIMS
         axis, half_area = np.int64(LEAF), _half_area(boxes, cell)
         best = (half_area * n, np.int64(0), np.int64(0), np.int64(0))
-        if level < limits.max_level and state[_NODES] < _TRIANGLE and half_area > 0.0 and n > limits.empty_bonus * limits.trav:
+        if level < max_level and state[_NODES] < _TRIANGLE and half_area > 0.0 and n > empty_bonus * trav:
             for k in range(3):
-                trial = _sweep(events, k, begin[3 * cell + k], end[3 * cell + k], boxes, cell, n, limits, best)
+                trial = _sweep(events, k, begin[3 * cell + k], end[3 * cell + k], boxes, cell, n, trav, empty_bonus, best)
                 if trial[0] < best[0]:
                     axis, best = k, trial
         _, plane, n_below, n_above = best
@@ -323,7 +318,7 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         state[_NODES] += 2
         # Past the first half, what may be added is shared: else a fan uses it up on one side, the other stays unsplit.
         share = np.int64((ceiling[cell] - n_refs) * (n_below / (n_below + n_above)))
-        ceiling[cell + 1] = max(n_refs + share, min(ceiling[cell], limits.max_refs // 2))
+        ceiling[cell + 1] = max(n_refs + share, min(ceiling[cell], max_refs // 2))
         state[_PENDING] = n_refs
         state[_DEEPEST] = max(state[_DEEPEST], level + 1)
     return _DONE
@@ -386,10 +381,10 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
 
     Examples
     --------
-    >>> corner = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]], np.float32)
-    >>> tree = build_kdtree(corner)
+    >>> one = np.eye(3, dtype=np.float32)
+    >>> tree = build_kdtree(np.stack([one, one + 9, one, one + 9]))
     >>> len(tree.nodes), tree.prims.tolist()
-    (3, [1, 0])
+    (13, [0, 2, 1, 3])
     """
     if not isinstance(triangles, np.ndarray) or triangles.dtype != np.float32 or triangles.shape[1:] != (3, 3):
         got = f"{triangles.dtype} {triangles.shape}" if isinstance(triangles, np.ndarray) else type(triangles).__name__
@@ -429,11 +424,12 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         bounds=int32(6 * n), below=int32(6 * n), above=int32(6 * n), kept=int64((3, 2 * n)), cut=int64((3, 2 * n)),
         fresh=int64(2 * n), spare=int64(2 * n), counts=int64(9), points=np.empty(3 * POLYGON),
     )  # fmt: skip
-    limits = _Limits(float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs))
+    limits = float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs)
     nodes, prims = np.empty(16 * n + 64, np.uint32), np.empty(8 * n + 64, np.int32)
     state = np.array([1, 1, 0, n, 0], np.int64)
-    vertices = triangles.reshape(-1)
-    while (lacks := _build(vertices, events, nodes.view(np.float32), nodes, prims, cells, scratch, limits, state)) != _DONE:
+    # As plain tuples: a NamedTuple's class goes into the compile cache, by the name that this module was imported as.
+    fixed = tuple(cells), tuple(scratch), limits, state
+    while (lacks := _build(triangles.reshape(-1), events, nodes.view(np.float32), nodes, prims, *fixed)) != _DONE:
         if lacks == _OUT_OF_NODES:
             nodes = _grown(nodes)
         elif lacks == _OUT_OF_PRIMS:

