@@ -30,7 +30,12 @@ reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and prin
 	@$(BIN)/nptrace render bunny conference sibenik sponza --out $(RUNS) --threads $(THREADS)
 	@$(BIN)/npcache table1 --traces $(RUNS)
 
-docs: $(INSTALLED) ## Write the figures of README.md and docs/ again
+docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
+	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
+	$(BIN)/nptrace render bunny conference sibenik sponza --out .venv/runs
+	$(BIN)/npcache table1 --traces .venv/runs --format csv -o docs/table1.csv
+	$(BIN)/nptrace render blob room nave court --accel bvh --size 320x320 --out .venv/stand-ins
+	$(BIN)/python docs/pictures.py docs/scenes.png .venv/stand-ins/*/image.png
 	$(BIN)/cog -r README.md
 
 docs-check: $(INSTALLED) ## Fail if a figure in README.md is not what its command prints

@@ -11,6 +11,7 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -34,7 +35,7 @@ def kernel_digest() -> str:
 
 
 def _cache_folder() -> Path:
-    """Return a writable folder for the compiled kernels of these sources: $NUMBA_CACHE_DIR, the user's cache, or a temporary one."""
+    """Return a writable folder for these sources' kernels: in $NUMBA_CACHE_DIR, the user's cache, or a temporary one."""
     root = os.environ.get("NUMBA_CACHE_DIR")
     candidates = [Path(root)] if root else [user_cache_path("nptrace") / "kernels"]
     candidates.append(Path(tempfile.gettempdir()) / f"nptrace-kernels-{os.getuid() if hasattr(os, 'getuid') else 'user'}")
@@ -62,8 +63,8 @@ def _forget_old(folder: Path) -> None:
 
 CACHE_FOLDER = _cache_folder()
 _forget_old(CACHE_FOLDER)
-numba.config.CACHE_DIR = str(CACHE_FOLDER)
+numba.config.CACHE_DIR = str(CACHE_FOLDER)  # type: ignore[attr-defined]
 
 #: Decorator of every kernel: compiled once per source, releases the GIL, divides by zero as IEEE 754 does, no fastmath
 #: (so no fused multiply-add: the counts are the same on every machine).
-kernel = partial(numba.njit, cache=True, nogil=True, error_model="numpy")
+kernel: Any = partial(numba.njit, cache=True, nogil=True, error_model="numpy")

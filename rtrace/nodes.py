@@ -85,7 +85,7 @@ def node_table(tree: Tree) -> dict[str, np.ndarray]:
     parent = np.full(n, -1, np.int32)
     level = np.zeros(n, np.uint16)
     _parents_and_levels(child, meta, parent, level)
-    table = {
+    table: dict[str, np.ndarray] = {
         "node": np.arange(n, dtype=np.uint32),
         "parent": parent,
         "level": level,

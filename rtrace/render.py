@@ -71,6 +71,21 @@ class Summary(NamedTuple):
     n_prefetches: int
     n_bytes: int  # of the four files
 
+    @property
+    def hit_share(self) -> float:
+        """Share of the primary rays that hit something."""
+        return self.n_hits / (self.n_rays - self.n_shadow_rays)
+
+    @property
+    def shadowed_share(self) -> float | None:
+        """Share of the shadow rays that are blocked; None without shadow rays."""
+        return self.n_shadowed / self.n_shadow_rays if self.n_shadow_rays else None
+
+    @property
+    def accesses_per_ray(self) -> float:
+        """Demand accesses per ray, of both types."""
+        return self.n_accesses / self.n_rays
+
 
 def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
     """Build a ``"kdtree"`` or a ``"bvh"``; parameters as ``build_kdtree`` and ``build_bvh``."""
@@ -208,7 +223,9 @@ def render_all(
     The trees are built by threads ahead of the pictures; summaries come as the runs are written.
     """
     with ThreadPoolExecutor(threads) as pool:
-        jobs = [(s, kind, pool.submit(build_tree, s.triangles, kind, **given)) for s in scenes for kind, given in params.items()]
+        jobs = [
+            (s, kind, pool.submit(build_tree, s.triangles, kind, **given)) for s in scenes for kind, given in params.items()
+        ]
         try:
             for scene, kind, tree in jobs:
                 path = folder / f"{scene.name}-{kind}"

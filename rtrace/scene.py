@@ -129,6 +129,13 @@ def scene_from_triangles(
     return Scene(name, triangles, bounds, camera, light, source, sha256, dropped, stand_in, notes)
 
 
+def seen_from(scene: Scene, camera: Camera | None, light: Point | None) -> Scene:
+    """Return the scene with another camera or light; a light that was fitted to the camera is fitted to the new one."""
+    if camera is not None and light is None and scene.light == fit_light(scene.camera, scene.bounds):
+        light = fit_light(camera, scene.bounds)
+    return scene._replace(camera=camera or scene.camera, light=light or scene.light)
+
+
 def dropped_sentence(scene: Scene) -> str | None:
     """Return what a user is told about dropped triangles, or None if there are none."""
     if not scene.dropped:

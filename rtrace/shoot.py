@@ -165,7 +165,9 @@ def primary_rays(frame: np.ndarray, pixels: np.ndarray, width: int) -> Rays:
     return Rays(origin, direction, np.zeros(n), np.full(n, np.inf))
 
 
-def shadow_rays(tree: Tree, primary: Rays, hits: Hits, light: tuple[float, float, float]) -> tuple[Rays, np.ndarray, np.ndarray, np.ndarray]:
+def shadow_rays(
+    tree: Tree, primary: Rays, hits: Hits, light: tuple[float, float, float]
+) -> tuple[Rays, np.ndarray, np.ndarray, np.ndarray]:
     """Return the shadow rays of hits that face the light.
 
     Returns
@@ -191,7 +193,15 @@ def shadow_rays(tree: Tree, primary: Rays, hits: Hits, light: tuple[float, float
     return Rays(origin[:m], to_light[:m], np.zeros(m), t_max[:m]), owner[:m], facing, normal
 
 
-def shoot(tree: Tree, frame: np.ndarray, light: tuple[float, float, float], pixels: np.ndarray, width: int, batch: int, pass_: int | None) -> Chunk:
+def shoot(
+    tree: Tree,
+    frame: np.ndarray,
+    light: tuple[float, float, float],
+    pixels: np.ndarray,
+    width: int,
+    batch: int,
+    pass_: int | None,
+) -> Chunk:
     """Trace the rays of ``pixels`` and shade them.
 
     Parameters

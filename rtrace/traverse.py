@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jit import kernel
-from rtrace.intersect import NARROWER, NO_PRIM, WIDER, shear, triangle_t
 from rtrace import nodes as layout
+from rtrace.intersect import NARROWER, NO_PRIM, WIDER, shear, triangle_t
 from rtrace.nodes import Tree, words
 from traces import format as contract
 
@@ -25,9 +25,7 @@ from traces import format as contract
 # fast. A plain integer next to a uint64 becomes signed, hence the names.
 ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE = (np.uint64(k) for k in range(10))
 LEAF = np.uint64(layout.LEAF)
-READ, PUSH, ENTER, PREFETCH = (
-    np.uint64(k) for k in (contract.READ, contract.PUSH, contract.LEAF, contract.PREFETCH)
-)
+READ, PUSH, ENTER, PREFETCH = (np.uint64(k) for k in (contract.READ, contract.PUSH, contract.LEAF, contract.PREFETCH))
 
 #: Room for the events of a batch at first, per ray; a batch that needs more goes on in a further buffer.
 EVENTS_PER_RAY = 64
@@ -177,7 +175,9 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
 
 
 @kernel
-def trace_kdtree(nodes, meta, prims, tri, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, t, count, events):
+def trace_kdtree(
+    nodes, meta, prims, tri, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, t, count, events
+):
     """Trace rays ``first``... through a kd-tree; as ``trace_bvh``.
 
     The test against the scene's box is free. A ray lying in a split plane visits both cells with its whole interval; a
@@ -303,7 +303,9 @@ def trace_brute(tri, origin, direction, t_min, t_max, prim, t):
         t[ray] = best if best_prim != NO_PRIM else np.inf
 
 
-def make_rays(origin: np.ndarray, direction: np.ndarray, t_min: float | np.ndarray = 0.0, t_max: float | np.ndarray = np.inf) -> Rays:
+def make_rays(
+    origin: np.ndarray, direction: np.ndarray, t_min: float | np.ndarray = 0.0, t_max: float | np.ndarray = np.inf
+) -> Rays:
     """Return checked rays; origins and intervals are broadcast to the directions.
 
     Raises
@@ -354,7 +356,7 @@ def _trace(tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray | None) -> 
     nodes, meta = words(tree)
     n = len(rays.t_min)
     prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.zeros(n, np.uint32)
-    fixed = (nodes, meta, tree.prims, tree.triangles.reshape(-1))
+    fixed: tuple[np.ndarray, ...] = (nodes, meta, tree.prims, tree.triangles.reshape(-1))
     kernel_of = trace_bvh
     if tree.kind == "kdtree":
         kernel_of, fixed = trace_kdtree, (*fixed, tree.bounds.reshape(-1))

@@ -1,6 +1,28 @@
-"""Settings for every test: hypothesis without deadlines, because the first call of a kernel compiles it."""
+"""Settings for every test, and the four benchmark scenes: real where NPTRACE_SCENES has them, else built-in ones."""
 
+import os
+
+import pytest
 from hypothesis import settings
 
+# Without deadlines, because the first call of a kernel compiles it.
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
+
+BENCHMARK = {"bunny": "blob", "conference": "room", "sibenik": "nave", "sponza": "court"}
+
+
+def pytest_report_header():
+    folder = os.environ.get("NPTRACE_SCENES")
+    return (
+        f"scenes: {folder}" if folder else "scenes: NPTRACE_SCENES is not set, built-in stand-ins take the real scenes' place"
+    )
+
+
+@pytest.fixture(scope="session", params=sorted(BENCHMARK))
+def benchmark_scene(request):
+    """One of the four scenes of Table I."""
+    from rtrace.catalog import load_scene
+
+    name = request.param if os.environ.get("NPTRACE_SCENES") else BENCHMARK[request.param]
+    return load_scene(name, notify=lambda text: None)

@@ -72,7 +72,9 @@ def test_tables_agree_with_one_another(tmp_path, scene, tree, order, batch):
     for p in range(0, 70 * 66, 97):
         row = position[p]
         got = slice(int(rays["first"][row]), int(rays["first"][row] + rays["count"][row]))
-        assert list(zip(node[got].tolist(), kind[got].tolist(), strict=True)) == events_of(events[ends[p] - count[p] : ends[p]])
+        assert list(zip(node[got].tolist(), kind[got].tolist(), strict=True)) == events_of(
+            events[ends[p] - count[p] : ends[p]]
+        )
         assert rays["prim"][row] == hits.prim[p] and rays["t"][row] == np.float32(hits.t[p])
 
     # The contract of the demand stream: a push is followed by a child; a request follows a non-empty leaf or a request.
@@ -101,7 +103,7 @@ def test_a_sphere_has_no_acne_and_no_leaks(tree, scale):
     camera = Camera((0, 0, 4 * scale), (0, 0, 0), fov=40)
     primary = primary_rays(camera.frame(96, 96), np.arange(96 * 96, dtype=np.uint32), 96)
     hits = trace(built, primary)
-    rays, owner, facing, normal = shadow_rays(built, primary, hits, light)
+    rays, owner, facing, _ = shadow_rays(built, primary, hits, light)
     assert 2000 < len(owner) < (hits.prim >= 0).sum() < 96 * 96
     assert (trace(built, rays, any_hit=True).prim < 0).all()
     assert (facing[owner] > 0).all() and ((facing > 0).sum() == len(owner))
@@ -126,7 +128,7 @@ def test_light_at_the_surface_needs_no_ray():
     quad = np.float32([[[-9, -9, 0], [9, -9, 0], [0, 9, 0]]])
     built = build_tree(quad, "bvh")
     primary = primary_rays(Camera((0, 0, 1), (0, 0, 0)).frame(1, 1), np.zeros(1, np.uint32), 1)
-    rays, owner, facing, _ = shadow_rays(built, primary, trace(built, primary), (0.0, 0.0, 1e-30))
+    rays, owner, _, _ = shadow_rays(built, primary, trace(built, primary), (0.0, 0.0, 1e-30))
     assert len(owner) == 0 and len(rays.t_max) == 0
 
 

@@ -34,7 +34,7 @@ def camera_rays(triangles, n, seed):
     origin = lower + size * rng.uniform(-1, 2, (n, 3))
     direction = lower + size * rng.random((n, 3)) - origin
     for axis in range(3):
-        direction[axis :: 12, axis], direction[axis :: 12, (axis + 1) % 3] = 0.0, -0.0
+        direction[axis::12, axis], direction[axis::12, (axis + 1) % 3] = 0.0, -0.0
     return make_rays(origin, direction)
 
 
@@ -110,8 +110,11 @@ def test_scale_mirror_and_axis_order_change_nothing(builder):
         np.testing.assert_array_equal(got.prim, want.prim)
         np.testing.assert_array_equal(got.t, want.t * scale)
     for axes, signs in (((1, 2, 0), (1, 1, 1)), ((0, 1, 2), (-1, 1, -1))):
-        turn = lambda p: np.ascontiguousarray(p[..., list(axes)] * np.float32(signs))  # noqa: E731
-        got = trace(BUILDERS[builder](turn(triangles)), make_rays(turn(rays.origin), turn(rays.direction)))
+        corners, origin, direction = (
+            np.ascontiguousarray(points[..., list(axes)] * np.float32(signs))
+            for points in (triangles, rays.origin, rays.direction)
+        )
+        got = trace(BUILDERS[builder](corners), make_rays(origin, direction))
         np.testing.assert_array_equal(got.prim, want.prim)
         np.testing.assert_allclose(got.t, want.t, rtol=1e-12)
 
@@ -119,7 +122,14 @@ def test_scale_mirror_and_axis_order_change_nothing(builder):
 def test_interval_ends_belong_to_the_interval():
     triangles = np.float32([[[0, 0, 2], [1, 0, 2], [0, 1, 2]]])
     for tree in (build_bvh(triangles), build_kdtree(triangles)):
-        for t_min, t_max, hit in ((0, 2, True), (2, 9, True), (2, 2, True), (0, 1.9999999, False), (2.0000001, 9, False), (3, 1, False)):
+        for t_min, t_max, hit in (
+            (0, 2, True),
+            (2, 9, True),
+            (2, 2, True),
+            (0, 1.9999999, False),
+            (2.0000001, 9, False),
+            (3, 1, False),
+        ):
             for any_hit in (False, True):
                 rays = make_rays([0.2, 0.2, 0], [[0, 0, 1]], t_min, t_max)
                 assert (trace(tree, rays, any_hit=any_hit).prim[0] == 0) == hit

@@ -17,6 +17,7 @@ import secrets
 import shutil
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +75,8 @@ BOX = [_field(f"{end}_{axis}", pa.float32(), "BVH: the node's box") for axis in 
 FILES = ("accesses.parquet", "rays.parquet", "nodes.parquet", "image.png")
 
 # Measured (docs/performance.md): neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long
-# enough, and which a dictionary or a delta would hide from it. The 20,000 rows a page that Parquet writers default to took twice
-# the bytes; the dictionary of `kind`, which Parquet stores as int32, took five times the time of its split bytes.
+# enough, and which a dictionary or a delta would hide from it. The usual 20,000 rows a page took twice the bytes; a
+# dictionary for `kind`, which Parquet stores as int32, took five times the time of its split bytes.
 _ENCODING: dict[str, Any] = {
     "compression": "zstd",
     "compression_level": 1,
@@ -132,10 +133,8 @@ class _Table:
 
     def abandon(self) -> None:
         """Close the file handle and ignore what it says: the file is about to be deleted."""
-        try:
+        with suppress(OSError, pa.ArrowException):
             self._writer.close()
-        except (OSError, pa.ArrowException):
-            pass
 
 
 class RunWriter:
@@ -312,11 +311,12 @@ def open_run(path: Path | str) -> Run:
     missing = [name for name in FILES if not (path / name).is_file()]
     if missing:
         raise RunError(f"{path} is not a complete run: {', '.join(missing)} missing; render it again")
-    files, texts = {}, set()
+    files: dict[str, pq.ParquetFile] = {}
+    texts: set[bytes | None] = set()
     for name in ("accesses", "rays", "nodes"):
         file = path / f"{name}.parquet"
         try:
-            files[name] = pq.ParquetFile(file, page_checksum_verification=True, memory_map=True)
+            files[name] = pq.ParquetFile(file, page_checksum_verification=True)
         except (OSError, pa.ArrowException) as e:
             raise _damaged(file, e) from e
         texts.add((files[name].metadata.metadata or {}).get(METADATA_KEY))
@@ -325,7 +325,7 @@ def open_run(path: Path | str) -> Run:
     if len(texts) > 1:
         raise RunError(f"{path} mixes the files of different runs; render it again")
     try:
-        metadata = json.loads(texts.pop())
+        metadata = json.loads(texts.pop() or b"")
     except ValueError as e:
         raise _damaged(path, e) from e
     version = metadata.get("format_version")

@@ -1,0 +1,95 @@
+"""What one cache is: sizes as people write them -> CacheConfig, checked once."""
+
+import re
+from dataclasses import dataclass
+
+POLICIES = ("lru", "fifo", "random")
+
+_UNITS = {"": 0, "K": 10, "M": 20, "G": 30}
+
+
+def parse_bytes(text: str) -> int:
+    """Return a byte size as papers write it: 512, 8K, 64KiB, 1M (powers of two)."""
+    match = re.fullmatch(r"\s*(\d+)\s*(?:([KkMmGg])(?:i?B)?|B)?\s*", text)
+    if match is None:
+        raise ValueError(f"{text!r} is not a size; write e.g. 512, 8K or 64KiB (K = 1024)")
+    number, unit = match.groups(default="")
+    return int(number) << _UNITS[unit.upper()]
+
+
+def format_bytes(n: int) -> str:
+    """Return a byte size with the largest unit that leaves it whole: 8192 -> 8K."""
+    for unit in ("G", "M", "K"):
+        if n and n % (1 << _UNITS[unit]) == 0:
+            return f"{n >> _UNITS[unit]}{unit}"
+    return str(n)
+
+
+def parse_ways(text: str, size_bytes: int, line_bytes: int) -> int:
+    """Return the number of ways; ``full`` means fully associative: as many ways as the cache has lines."""
+    if text.strip().lower() == "full":
+        return max(size_bytes // max(line_bytes, 1), 1)
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is not a number of ways; write 1, 2, 4 ... or full") from None
+
+
+@dataclass(frozen=True, slots=True)
+class CacheConfig:
+    """Geometry and replacement of one cache: size_bytes = n_sets * ways * line_bytes.
+
+    Attributes
+    ----------
+    size_bytes : int
+        Any whole number of sets; the number of sets need not be a power of two (set = line mod n_sets).
+    ways : int
+        1 is direct mapped; ``size_bytes // line_bytes`` is fully associative.
+    line_bytes : int
+        A power of two.
+    policy : str
+        ``"lru"``, ``"fifo"`` or ``"random"``.
+    seed : int
+        Of the random policy. Its generator is SplitMix64, so the victims cannot be those of another program.
+    """
+
+    size_bytes: int
+    ways: int = 1
+    line_bytes: int = 32
+    policy: str = "lru"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        line, ways, size = self.line_bytes, self.ways, self.size_bytes
+        if line < 1 or line & (line - 1):
+            raise ValueError(f"a line of {line} B is not a power of two; write e.g. 32 or 64")
+        if ways < 1:
+            raise ValueError(f"{ways} ways: a cache has at least 1; write 1 for direct mapped, full for fully associative")
+        set_bytes = ways * line
+        if size < 1 or size % set_bytes:
+            below, above = size // set_bytes * set_bytes, (max(size, 0) // set_bytes + 1) * set_bytes
+            near = f"{below} or {above}" if below > 0 else f"{above}"
+            raise ValueError(
+                f"a size of {size} B is not a whole number of sets of {ways} x {line} B = {set_bytes} B; write e.g. {near}"
+            )
+        if size // line >= 1 << 31:
+            raise ValueError(f"a size of {size} B is {size // line} lines of {line} B; the limit is 2^31 - 1 lines")
+        if self.policy not in POLICIES:
+            raise ValueError(f"{self.policy!r} is not a replacement policy; choose one of {', '.join(POLICIES)}")
+        if not 0 <= self.seed < 1 << 64:
+            raise ValueError(f"a seed of {self.seed} does not fit; choose one from 0 to 2^64 - 1")
+
+    @property
+    def n_sets(self) -> int:
+        """Number of sets."""
+        return self.size_bytes // (self.ways * self.line_bytes)
+
+    @property
+    def n_lines(self) -> int:
+        """Number of lines the cache holds."""
+        return self.size_bytes // self.line_bytes
+
+    def __str__(self) -> str:
+        size, line = format_bytes(self.size_bytes), format_bytes(self.line_bytes)
+        ways = "full" if self.n_sets == 1 and self.ways > 1 else f"{self.ways}-way"
+        return f"{size} {ways} {line} B {self.policy}"

@@ -1,0 +1,230 @@
+"""Where each node lies in memory: columns of nodes.parquet and a layout's name -> one byte address per node.
+
+Every layout is a permutation of the slots ``stored`` uses, apart from the padding said beside it. ``+BYTES`` after a name
+moves all of it: ``stored+8`` lets the sibling pairs of an 8-byte kd-tree, which start at number 1, start on even numbers of
+nodes, so that none lies across two lines.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from cachesim.config import format_bytes, parse_bytes
+from jit import kernel
+
+#: The layouts, and what each does with nodes and sibling pairs.
+LAYOUTS = {
+    "stored": "as numbered: pairs adjacent, a pair, then its left subtree, then its right (depth-first)",
+    "bfs": "level by level, pairs adjacent",
+    "dfs": "every left child right after its parent, pairs apart",
+    "veb": "van Emde Boas: the upper half of the levels, then each subtree below, recursively; pairs adjacent",
+    "treelet:BYTES": "blocks of BYTES, each filled with a subtree from its root down; pairs adjacent and aligned to their "
+    "size, so one node of padding after the root; a block whose subtree ends early is filled with the next subtree",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A parsed layout: its name, the bytes of a treelet's block (0 for the others) and the address of the first node."""
+
+    name: str
+    block_bytes: int = 0
+    base: int = 0
+
+    def __str__(self) -> str:
+        block = f":{format_bytes(self.block_bytes)}" if self.block_bytes else ""
+        return f"{self.name}{block}" + (f"+{format_bytes(self.base)}" if self.base else "")
+
+
+def parse_layout(text: str) -> Layout:
+    """Return the layout that a text such as ``veb``, ``treelet:256`` or ``stored+8`` names."""
+    name, plus, base = text.strip().lower().partition("+")
+    name, colon, block = name.partition(":")
+    known = ", ".join(LAYOUTS)
+    if name not in {each.partition(":")[0] for each in LAYOUTS}:
+        raise ValueError(f"{text!r} is not a layout; choose one of {known}, and +BYTES to move it")
+    if (name == "treelet") != bool(colon):
+        raise ValueError(f"{text!r} is not a layout: only treelet has a block, as in treelet:256")
+    layout = Layout(name, parse_bytes(block) if colon else 0, parse_bytes(base) if plus else 0)
+    if colon and layout.block_bytes < 1:
+        raise ValueError(f"{text!r}: a treelet of 0 B holds no node; write e.g. treelet:256")
+    if layout.base >= 1 << 62:
+        raise ValueError(f"{text!r}: {base} is beyond the largest address, 2^62")
+    return layout
+
+
+def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout | str) -> np.ndarray:
+    """Return the byte address of every node, (n_nodes,) int64.
+
+    Parameters
+    ----------
+    nodes : mapping
+        The columns ``parent`` (-1 for the root) and ``level`` of ``nodes.parquet``. Siblings are (1, 2), (3, 4) ... and
+        have larger numbers than their parent.
+    node_bytes : int
+    layout : Layout or str
+    """
+    if isinstance(layout, str):
+        layout = parse_layout(layout)
+    level = nodes["level"]
+    if layout.name == "stored":
+        slots = np.arange(level.size, dtype=np.int64)
+    elif layout.name == "bfs":
+        slots = _positions(np.argsort(level, kind="stable"))
+    elif layout.name == "dfs":
+        slots = np.empty(level.size, np.int64)
+        dfs_slots(first_children(_parents(nodes)), np.empty(2 * int(level.max()) + 2, np.int64), slots)
+    else:
+        slots = _pair_slots(_parents(nodes), node_bytes, layout)
+    return layout.base + node_bytes * slots
+
+
+def _parents(nodes: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the parents as int64, checked: the kernels below follow them without looking."""
+    parents = np.ascontiguousarray(nodes["parent"], np.int64)
+    lower, upper = parents[1::2], parents[2::2]
+    numbers = np.arange(1, parents.size, 2)
+    if parents.size % 2 == 0 or (lower != upper).any() or (lower < 0).any() or (lower >= numbers).any():
+        raise ValueError("nodes.parquet is not a tree of sibling pairs (1, 2), (3, 4) ...; render the run again")
+    return parents
+
+
+def _positions(order: np.ndarray) -> np.ndarray:
+    """Return the inverse of a permutation."""
+    positions = np.empty(order.size, np.int64)
+    positions[order] = np.arange(order.size)
+    return positions
+
+
+def _pair_slots(parents: np.ndarray, node_bytes: int, layout: Layout) -> np.ndarray:
+    """Return the slot of each node for the layouts that order whole pairs (unit 0 the root, unit k nodes 2k - 1 and 2k)."""
+    n_units = (parents.size + 1) // 2
+    unit_parents = np.full(n_units, -1, np.int64)
+    unit_parents[1:] = (parents[1::2] + 1) // 2
+    first, next_ = unit_children(unit_parents)
+    order = np.empty(n_units, np.int64)
+    if layout.name == "veb":
+        stack, walk = np.empty((n_units + 1, 2), np.int64), np.empty(n_units, np.int64)
+        veb_order(first, next_, heights(unit_parents), stack, walk, order)
+        first_slots = 2 * _positions(order) - 1  # the root has no sibling: its unit is one slot
+    else:
+        pairs = layout.block_bytes // (2 * node_bytes)
+        if pairs * 2 * node_bytes != layout.block_bytes:
+            raise ValueError(
+                f"a treelet of {layout.block_bytes} B is not a whole number of pairs of {node_bytes}-byte nodes; "
+                f"write e.g. treelet:{max(pairs, 1) * 2 * node_bytes}"
+            )
+        treelet_order(first, next_, pairs, np.empty(n_units, np.int64), np.empty(pairs, np.int64), order)
+        first_slots = 2 * _positions(order)
+    slots = np.empty(parents.size, np.int64)
+    slots[0] = 0
+    slots[1::2] = first_slots[1:]
+    slots[2::2] = first_slots[1:] + 1
+    return slots
+
+
+@kernel
+def first_children(parents):
+    """Return the lower child of every node, 0 for a leaf."""
+    children = np.zeros(parents.size, np.int64)
+    for node in range(1, parents.size, 2):
+        children[parents[node]] = node
+    return children
+
+
+@kernel
+def dfs_slots(children, stack, slots):
+    """Number the nodes depth-first, left child right after its parent."""
+    stack[0] = 0
+    n_stack, n = 1, 0
+    while n_stack:
+        n_stack -= 1
+        node = stack[n_stack]
+        slots[node] = n
+        n += 1
+        if children[node]:
+            stack[n_stack] = children[node] + 1
+            stack[n_stack + 1] = children[node]
+            n_stack += 2
+
+
+@kernel
+def unit_children(parents):
+    """Return (first child, next sibling) of every unit, -1 for none; a unit has up to two children, in ascending order."""
+    first = np.full(parents.size, -1, np.int64)
+    next_ = np.full(parents.size, -1, np.int64)
+    for unit in range(parents.size - 1, 0, -1):
+        next_[unit] = first[parents[unit]]
+        first[parents[unit]] = unit
+    return first, next_
+
+
+@kernel
+def heights(parents):
+    """Return the number of levels of the subtree under every unit, itself included."""
+    height = np.ones(parents.size, np.int64)
+    for unit in range(parents.size - 1, 0, -1):
+        if height[parents[unit]] <= height[unit]:
+            height[parents[unit]] = height[unit] + 1
+    return height
+
+
+@kernel
+def veb_order(first, next_, height, stack, walk, order):
+    """Order the units as van Emde Boas does: ``stack`` holds (subtree, levels of it), ``walk`` is scratch."""
+    stack[0, 0], stack[0, 1] = 0, height[0]
+    n_stack, n = 1, 0
+    while n_stack:
+        n_stack -= 1
+        top = stack[n_stack, 0]
+        levels = min(stack[n_stack, 1], height[top])
+        if levels == 1:
+            order[n] = top
+            n += 1
+            continue
+        upper = levels // 2
+        # The units `upper` levels below the top, from left to right: breadth-first, in place in `walk`.
+        walk[0] = top
+        start, end = 0, 1
+        for _ in range(upper):
+            filled = end
+            for i in range(start, end):
+                child = first[walk[i]]
+                while child >= 0:
+                    walk[filled] = child
+                    filled += 1
+                    child = next_[child]
+            start, end = end, filled
+        for i in range(end - 1, start - 1, -1):
+            stack[n_stack, 0], stack[n_stack, 1] = walk[i], levels - upper
+            n_stack += 1
+        stack[n_stack, 0], stack[n_stack, 1] = top, upper
+        n_stack += 1
+
+
+@kernel
+def treelet_order(first, next_, pairs, pending, queue, order):
+    """Order the units block by block of ``pairs`` units: each block is filled breadth-first from the next subtree waiting."""
+    pending[0] = 0
+    n_pending, n = 1, 0
+    while n_pending:
+        taken = 0
+        while taken < pairs and n_pending:
+            n_pending -= 1
+            queue[taken] = pending[n_pending]
+            here, taken = taken, taken + 1
+            while here < taken:
+                unit = queue[here]
+                here += 1
+                order[n] = unit
+                n += 1
+                child = first[unit]
+                while child >= 0:
+                    if taken < pairs:
+                        queue[taken] = child
+                        taken += 1
+                    else:
+                        pending[n_pending] = child
+                        n_pending += 1
+                    child = next_[child]

@@ -1,0 +1,207 @@
+"""Pre-fetch policies: rows of a trace (node, kind) -> the events a cache sees (node, label), pre-fetches among them.
+
+A run records every push, so the node stack can be rebuilt from the demand rows alone, and any policy of the pre-fetch unit
+replayed without rendering again. The unit has the stack's top ``sp`` and a pointer ``pp``. Push: pp = sp. Pop: pp =
+min(pp, sp). At a non-empty leaf, before its triangles are tested: while there is budget and pp > 0, pp -= 1 and request
+stack[pp]. The pointer stays where it stopped. A ray starts with an empty stack.
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from cachesim.exact import ALWAYS, MISC, NEVER, ON_MISS, PREFETCH, READ, TAGGED
+from jit import kernel
+
+# The kinds of a row of accesses.parquet (traces.format; numbers here because a kernel needs constants of its own).
+KIND_PUSH, KIND_LEAF, KIND_PREFETCH = 1, 2, 3
+
+#: A request of the pre-fetch unit as a label: what DineroIV calls type b.
+REQUEST = PREFETCH | MISC
+
+UNLIMITED = np.iinfo(np.int64).max
+
+_TRIGGERS = {"always": ALWAYS, "miss": ON_MISS, "tagged": TAGGED}
+
+FORMS = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty] or next-line:always|miss|tagged[:DISTANCE]"
+
+
+@dataclass(frozen=True, slots=True)
+class Prefetch:
+    """A pre-fetch policy.
+
+    Attributes
+    ----------
+    kind : str
+        ``"none"``: demand only; ``"traced"``: the requests in the trace; ``"stack"``: those of the pre-fetch unit, derived
+        from the demand rows; ``"next-line"``: a sequential pre-fetcher in the cache, DineroIV's always, miss and tagged.
+    budget : int
+        stack: most requests at a leaf, or with ``per_triangle`` per triangle of the leaf.
+    once : bool
+        stack: an entry is requested at most once while it is on the stack, even if a later push moves the pointer back up.
+    empty : bool
+        stack: empty leaves trigger requests too.
+    trigger, distance : int
+        next-line: NEVER, ALWAYS, ON_MISS or TAGGED; and how many lines ahead.
+    """
+
+    kind: str
+    budget: int = UNLIMITED
+    per_triangle: bool = False
+    once: bool = False
+    empty: bool = False
+    trigger: int = NEVER
+    distance: int = 0
+
+    def __str__(self) -> str:
+        if self.kind == "next-line":
+            name = next(name for name, trigger in _TRIGGERS.items() if trigger == self.trigger)
+            return f"next-line:{name}" + (f":{self.distance}" if self.distance != 1 else "")
+        if self.kind != "stack":
+            return self.kind
+        budget = "unlimited" if self.budget == UNLIMITED else f"{'tris*' if self.per_triangle else 'budget='}{self.budget}"
+        return f"stack:{budget}{':once' if self.once else ''}{':empty' if self.empty else ''}"
+
+
+def parse_prefetch(text: str) -> Prefetch:
+    """Return the policy that a text such as ``traced``, ``stack:tris*2:once`` or ``next-line:tagged:2`` names."""
+    kind, *options = text.strip().lower().split(":")
+    if kind in ("none", "traced") and not options:
+        return Prefetch(kind)
+    if kind == "stack":
+        return _parse_stack(text, options)
+    if kind == "next-line" and 1 <= len(options) <= 2 and options[0] in _TRIGGERS:
+        distance = options[1] if len(options) == 2 else "1"
+        if re.fullmatch(r"[1-9]\d{0,5}", distance) is None:
+            raise ValueError(f"{text!r}: a distance is a number of lines from 1 to 999999, not {distance!r}")
+        return Prefetch(kind, trigger=_TRIGGERS[options[0]], distance=int(distance))
+    raise ValueError(f"{text!r} is not a pre-fetch policy; write {FORMS}")
+
+
+def _parse_stack(text: str, options: list[str]) -> Prefetch:
+    budgets = []
+    for option in options:
+        match = re.fullmatch(r"(?:budget=)?(unlimited|(tris\*)?(\d{1,9}))", option)
+        if match:
+            budgets.append((UNLIMITED if match[1] == "unlimited" else int(match[3]), match[2] is not None))
+        elif option not in ("once", "empty"):
+            raise ValueError(f"{text!r}: {option!r} is not an option of stack; write {FORMS}")
+    if len(budgets) > 1 or len(set(options)) < len(options):
+        raise ValueError(f"{text!r} says something twice; write {FORMS}")
+    budget, per_triangle = budgets[0] if budgets else (UNLIMITED, False)
+    return Prefetch("stack", budget, per_triangle, "once" in options, "empty" in options)
+
+
+class StackReplay:
+    """The pre-fetch unit over one trace: batches of rows in, batches of events out, its stack kept in between.
+
+    Parameters
+    ----------
+    policy : Prefetch
+        Of kind ``stack``.
+    is_kd : bool
+        In a kd-tree the row after a read (kind 0) is the child followed; in a BVH it is popped.
+    n_prims, level : (n_nodes,) array
+        Columns of ``nodes.parquet``.
+    """
+
+    def __init__(self, policy: Prefetch, is_kd: bool, n_prims: np.ndarray, level: np.ndarray) -> None:
+        self._policy = policy
+        self._is_kd = is_kd
+        self._n_prims = np.ascontiguousarray(n_prims, np.uint32)
+        self._stack = np.zeros(max(int(level.max()), 1), np.int64)  # at most one entry per level above
+        self._asked = np.zeros(self._stack.size, np.uint8)
+        self._state = np.array([0, 0, -1], np.int64)  # sp, pp, kind of the last demand row (-1: none yet)
+
+    def events(self, nodes: np.ndarray, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (nodes, labels) of the demand rows and of the requests that this policy makes; traced requests are dropped.
+
+        Raises
+        ------
+        ValueError
+            The rows are not a traversal of this tree: a popped node is not on the stack.
+        """
+        policy, pieces, start = self._policy, [], 0
+        while start < nodes.size:
+            out = np.empty(nodes.size - start + nodes.size // 4 + self._stack.size + 1, np.uint32)
+            labels = np.empty(out.size, np.uint8)
+            start, n, is_bad = rebuild(
+                nodes, kinds, start, self._n_prims, self._is_kd, policy.budget, policy.per_triangle, policy.once,
+                policy.empty, self._stack, self._asked, self._state, out, labels,
+            )  # fmt: skip
+            if is_bad:
+                raise ValueError(
+                    f"node {nodes[start]} (row {start} of its row group) does not follow from the rows before it; "
+                    "the trace and its tree do not belong together, render the run again"
+                )
+            pieces.append((out[:n], labels[:n]))
+        if len(pieces) == 1:
+            return pieces[0]
+        return np.concatenate([p[0] for p in pieces] or [nodes]), np.concatenate([p[1] for p in pieces] or [kinds])
+
+
+@kernel
+def rebuild(
+    nodes, kinds, start, n_prims, is_kd, budget, per_triangle, once, empty, stack, asked, state, out, labels
+):  # fmt: skip
+    """Rebuild the stack over rows ``start`` on and write the events, until the rows or the room for events end.
+
+    ``state`` is sp, pp and the kind of the last demand row. Returns (the first row not done, events written, whether that
+    row contradicts the rows before it).
+    """
+    sp, pp, last_kind = state[0], state[1], state[2]
+    n = 0
+    is_bad = False
+    row = start
+    while row < nodes.size and n + stack.size < out.size:
+        kind = kinds[row]
+        node = np.int64(nodes[row])
+        if kind == KIND_PREFETCH:
+            row += 1
+            continue
+        if node >= n_prims.size or kind > KIND_PREFETCH:
+            is_bad = True
+            break
+        if node == 0:
+            sp = pp = np.int64(0)
+        elif last_kind == KIND_PUSH:
+            if sp == stack.size:
+                is_bad = True
+                break
+            stack[sp] = ((node - 1) ^ 1) + 1
+            asked[sp] = 0
+            sp += 1
+            pp = sp
+        elif last_kind == KIND_LEAF or not is_kd:
+            # A kd-tree skips entries that begin beyond the nearest hit: popped, but not read.
+            while sp > 0 and stack[sp - 1] != node:
+                sp -= 1
+            if sp == 0:
+                is_bad = True
+                break
+            sp -= 1
+            pp = min(pp, sp)
+        elif last_kind < 0:
+            is_bad = True
+            break
+        out[n] = node
+        labels[n] = READ
+        n += 1
+        if kind == KIND_LEAF and (empty or n_prims[node] > 0):
+            left = budget
+            if per_triangle:
+                left = budget * np.int64(n_prims[node])
+            while left > 0 and pp > 0:
+                pp -= 1
+                if once and asked[pp]:
+                    continue
+                asked[pp] = 1
+                out[n] = stack[pp]
+                labels[n] = REQUEST
+                n += 1
+                left -= 1
+        last_kind = np.int64(kind)
+        row += 1
+    state[0], state[1], state[2] = sp, pp, last_kind
+    return row, n, is_bad

@@ -1,0 +1,426 @@
+"""The two commands, nptrace and npcache: parse, call one function, print. Nothing is computed here.
+
+Data goes to stdout, progress and warnings to stderr. A bad input exits 2 with one sentence: the value, the rule, the way out.
+Heavy modules are imported inside the commands, so that ``--help`` is quick.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cachesim.config import CacheConfig, parse_bytes, parse_ways
+
+if TYPE_CHECKING:
+    from cachesim.account import Result
+    from rtrace.scene import Scene
+    from traces.format import Run
+
+PREFETCH_HELP = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
+LAYOUT_HELP = "Where nodes lie: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
+FORMATS = ("table", "csv", "json", "markdown", "latex")
+
+
+class BadInput(click.ClickException):
+    """One sentence on stderr, exit status 2."""
+
+    exit_code = 2
+
+
+class Commands(click.Group):
+    """A group whose commands turn ValueError and OSError, both about inputs, into one sentence."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Invoke the command."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            raise  # the reader has enough; click ends quietly
+        except (ValueError, OSError, MemoryError) as e:
+            raise BadInput(str(e) or type(e).__name__) from e
+
+
+class ListOf(click.ParamType):
+    """A comma-separated list; every item goes through a function that raises ValueError on a bad one."""
+
+    def __init__(self, name: str, item: Any) -> None:
+        self.name, self._item = name, item
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the list that a text names."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return [self._item(text) for text in value.split(",")]
+        except ValueError as e:
+            raise BadInput(f"{param.opts[0]}: {e}" if param else str(e)) from e
+
+
+def merged(ctx: click.Context, param: click.Parameter, values: tuple[list[Any], ...]) -> list[Any]:
+    """Join the lists of a repeated option, without repetitions."""
+    return list(dict.fromkeys(item for value in values for item in value))
+
+
+def list_option(*names: str, item: Any, metavar: str, default: str, help: str) -> Any:
+    """Return an option that may be repeated and takes comma-separated lists."""
+    return click.option(
+        *names, type=ListOf(metavar, item), metavar=metavar, multiple=True, default=[default], show_default=True,
+        callback=merged, help=help,
+    )  # fmt: skip
+
+
+def traces_option() -> Any:
+    """Return the option for the folder with the runs."""
+    return click.option(
+        "--traces", "folder", type=click.Path(path_type=Path), default="traces", show_default=True,
+        help="Folder with the runs."
+    )  # fmt: skip
+
+
+@contextmanager
+def progress_bar(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
+    """Yield a function to call with the amount done: a bar on a terminal, nothing in a pipe."""
+    if not sys.stderr.isatty():
+        yield lambda n: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda n: bar.advance(task, n)
+
+
+def write_out(text: str, out: Path | None) -> None:
+    """Write text to a file, whole or not at all, or to stdout."""
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    temporary = out.with_name(f".{out.name}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(out)
+    except OSError as e:
+        raise BadInput(f"cannot write {out}: {e.strerror}; choose another -o") from e
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@click.group(cls=Commands)
+def nptrace() -> None:
+    """Stage 1: a scene -> the node accesses of its rays."""
+
+
+def threads_option() -> Any:
+    """Return the option for the number of threads."""
+    return click.option(
+        "--threads", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all processors",
+        help="Threads to use; the results do not depend on it.",
+    )  # fmt: skip
+
+
+def scene_options(command: Any) -> Any:
+    """Add the options that say how scenes are found."""
+    for option in (
+        click.option("--offline", is_flag=True, help="Never download a scene."),
+        click.option("--strict", is_flag=True, help="Refuse a mesh with bad triangles instead of leaving them out."),
+    ):
+        command = option(command)
+    return command
+
+
+def load_scenes(names: Sequence[str], strict: bool, offline: bool) -> "list[Scene]":
+    """Load scenes by name or file; say on stderr what a user should know about each."""
+    from rtrace.catalog import load_scene
+    from rtrace.scene import dropped_sentence
+
+    scenes = []
+    for name in names:
+        scene = load_scene(name, strict=strict, download=not offline, notify=lambda text: click.echo(text, err=True))
+        for sentence in (dropped_sentence(scene), *scene.notes):
+            if sentence:
+                click.echo(sentence, err=True)
+        scenes.append(scene)
+    return scenes
+
+
+#: Parameters of the kd-tree builder that a user may set, and the type of each.
+KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int}
+
+
+def parse_kd(text: str) -> dict[str, Any]:
+    """Return the builder's parameters that ``text`` sets: ``coarse`` or NAME=VALUE, parted by commas."""
+    params: dict[str, Any] = {}
+    for part in filter(None, text.split(",")):
+        name, equals, value = ("max_level", "=", "16") if part == "coarse" else part.partition("=")
+        if not equals or name not in KD_PARAMS:
+            raise BadInput(f"--kd: {part!r} is not coarse or NAME=VALUE with a name of {', '.join(KD_PARAMS)}")
+        try:
+            params[name] = KD_PARAMS[name](value)
+        except ValueError:
+            raise BadInput(f"--kd: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
+    return params
+
+
+@nptrace.command()
+@click.argument("names", metavar="SCENE...", nargs=-1, required=True)
+@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
+@click.option("--size", default="128x128", show_default=True, metavar="WxH", help="Pixels of the picture.")
+@click.option("--camera", metavar="TEXT", help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; else the scene's own or a fitted one.")
+@click.option("--light", metavar="X,Y,Z", help="Place of the point light; else the scene's own or a fitted one.")
+@click.option("--order", type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]), default="scanline",
+              show_default=True, help="Order in which the pixels are shot.")
+@click.option("--batch", type=click.IntRange(0), default=1, show_default=True,
+              help="Primary rays shot before their shadow rays; 0: all of them.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the random order.")
+@click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="",
+              help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level; `coarse` is max_level=16.")
+@click.option("--bvh", "bvh_builder", type=click.Choice(["sweep", "binned"]), default="sweep", show_default=True,
+              help="BVH builder: exact SAH over all centroids, or 16 bins.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default="traces", show_default=True,
+              help="Folder for the runs.")
+@threads_option()
+@scene_options
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def render(
+    names: tuple[str, ...], accel: tuple[str, ...], size: str, camera: str | None, light: str | None, order: str, batch: int,
+    seed: int, kd_text: str, bvh_builder: str, out: Path, threads: int, strict: bool, offline: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Trace pictures of scenes and write one run per scene and tree.
+
+    A SCENE is a mesh file or a name that `nptrace scenes` lists.
+
+    \b
+    nptrace render bunny
+    nptrace render model.obj --accel bvh --size 512x512 --camera "eye=0,2,5 at=0,0,0"
+    """
+    from rtrace.camera import parse_camera, parse_point, parse_size
+    from rtrace.render import Shooting, render_all
+    from rtrace.scene import seen_from
+
+    shooting = Shooting(*parse_size(size), order, batch, seed)
+    params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
+    chosen = {kind: params[kind] for kind in accel or params}
+    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
+    scenes = [seen_from(scene, eye, lamp) for scene in load_scenes(names, strict, offline)]
+    n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen) * (1 if batch else 2)
+    with progress_bar("trace", n_pixels) as progress:
+        runs = list(
+            render_all(scenes, chosen, shooting, out, threads=threads, tool_version=version("nptrace"), progress=progress)
+        )
+    if as_json:
+        click.echo(json.dumps([run._asdict() for run in runs], indent=2))
+        return
+    from cachesim.text import Table, number, percent, print_tables
+
+    header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Pre-fetches", "MB"]
+    rows = [
+        [
+            run.path, number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),
+            number(run.n_shadow_rays), percent(run.shadowed_share, 1), number(run.n_accesses), number(run.accesses_per_ray, 1),
+            number(run.n_prefetches), number(run.n_bytes / 1e6, 1),
+        ]
+        for run in runs
+    ]  # fmt: skip
+    print_tables([Table("", header, rows)], [], sys.stdout)
+
+
+@nptrace.command()
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def scenes(as_json: bool) -> None:
+    """List the scenes known by name: their size, licence, and where they are found."""
+    from rtrace.catalog import list_scenes
+
+    rows = list_scenes()
+    if as_json:
+        click.echo(json.dumps([row._asdict() for row in rows], indent=2, default=str))
+        return
+    from cachesim.text import Table, number, print_tables
+
+    lines = [[row.name, number(row.n_triangles), row.where or f"stand-in: {row.stand_in}", row.licence] for row in rows]
+    header = ["Scene", "Triangles", "Where", "Licence"]
+    print_tables([Table("", header, lines)], ["Built in: blob, room, nave, court. Any mesh file is a scene too."], sys.stdout)
+
+
+@nptrace.command()
+@click.argument("names", metavar="SCENE...", nargs=-1, required=True)
+@click.option("--size", default="256x256", show_default=True, metavar="WxH", help="Pixels of the picture.")
+@click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="Random rays.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the random rays.")
+@scene_options
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def check(names: tuple[str, ...], size: str, n_random: int, seed: int, strict: bool, offline: bool, as_json: bool) -> None:
+    """Compare both trees with Embree on camera, shadow and random rays; exit 1 beyond a limit.
+
+    \b
+    nptrace check bunny
+    nptrace check model.ply --random 1000000
+    """
+    from rtrace.camera import parse_size
+    from rtrace.render import TREES, build_tree
+    from rtrace.verify import compare
+
+    width, height = parse_size(size)
+    rows = []
+    for scene in load_scenes(names, strict, offline):
+        trees = [build_tree(scene.triangles, kind) for kind in TREES]
+        rows += [(scene.label, row) for row in compare(trees, scene, width, height, n_random, seed)]
+    bad = [row for _, row in rows if not row.is_good]
+    if as_json:
+        click.echo(json.dumps([{"scene": label, **row._asdict(), "is_good": row.is_good} for label, row in rows], indent=2))
+    else:
+        from cachesim.text import Table, number, print_tables
+
+        header = ["Scene", "Tree", "Rays", "Number", "Compared", "Value", "Limit", ""]
+        lines = [
+            [label, row.tree, row.rays, number(row.n_rays), row.what, f"{row.value:.3g}", f"{row.limit:.3g}",
+             "ok" if row.is_good else "BEYOND"]
+            for label, row in rows
+        ]  # fmt: skip
+        note = f"{len(rows)} comparisons, {len(bad)} beyond their limit."
+        print_tables([Table("", header, lines, n_left=3)], [note], sys.stdout)
+    if bad:
+        raise SystemExit(1)
+
+
+@nptrace.command()
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--to", "form", type=click.Choice(["din"]), required=True, help="DineroIV's input format.")
+@click.option("--binary", is_flag=True, help="DineroIV's binary records instead of text.")
+@click.option("--prefetch", type=click.Choice(["b", "read", "misc", "omit"]), default="b", show_default=True,
+              help="Label of the pre-fetch requests: b, as reads (0), as misc (3), or leave them out.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="File; RUN.din by default.")
+def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
+    """Write a run as a trace that DineroIV itself replays.
+
+    \b
+    nptrace export traces/bunny-bvh --to din
+    dineroIV -informat d -l1-usize 8k -l1-ubsize 32 -l1-uassoc 2 < bunny-bvh.din
+    """
+    from traces.din import export_din
+    from traces.format import open_run
+
+    opened = open_run(run)
+    target = output or Path(f"{opened.name}.{form}")
+    written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch)
+    click.echo(f"{target}: {written:,} accesses")
+
+
+@click.group(cls=Commands)
+def npcache() -> None:
+    """Stage 2: node accesses -> what a node cache makes of them."""
+
+
+@npcache.command()
+@click.argument("sources", metavar="[RUN | FILE.din]...", nargs=-1, type=click.Path(path_type=Path))
+@traces_option()
+@list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
+@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Ways, e.g. 1,2,full.")
+@list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
+@list_option("--policy", item=str.lower, metavar="POLICIES", default="lru", help="lru, fifo, random.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the random policy.")
+@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
+@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+@click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
+@click.option("--report", type=click.Choice(["table", "dinero", "json", "csv"]), default="table", show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="The same as --report json.")
+def replay(
+    sources: tuple[Path, ...], folder: Path, size: list[int], assoc: list[str], line: list[int], policy: list[str], seed: int,
+    prefetch: list[str], layout: list[str], three_c: bool, report: str, as_json: bool,
+) -> None:  # fmt: skip
+    """Replay runs, or DineroIV traces, through every combination of the cache options, exactly.
+
+    \b
+    npcache replay --size 8K --assoc 2
+    npcache replay traces/bunny-bvh --size 8K,16K --assoc 1,2 --prefetch none,stack:tris*2 --json
+    npcache replay x.din --size 2K --assoc 2 --report dinero
+    """
+    from cachesim.layout import parse_layout
+    from cachesim.prefetch import parse_prefetch
+    from cachesim.replay import replay as replay_source
+    from cachesim.source import open_source
+
+    configs = [
+        CacheConfig(one_size, parse_ways(ways, one_size, one_line), one_line, one_policy, seed)
+        for one_line in line for one_policy in policy for one_size in size for ways in assoc
+    ]  # fmt: skip
+    policies, layouts = [parse_prefetch(text) for text in prefetch], [parse_layout(text) for text in layout]
+    results: list[Result] = []
+    for path in sources or default_sources(folder):
+        for one_layout in layouts:
+            source = open_source(path, one_layout)
+            for one_prefetch in policies:
+                with progress_bar("replay", source.n_events) as progress:
+                    results += replay_source(source, configs, prefetch=one_prefetch, three_c=three_c, progress=progress)
+    print_results(results, "json" if as_json else report)
+
+
+def default_sources(folder: Path) -> list[Path]:
+    """Return the runs in a folder, at least one."""
+    from traces.format import find_runs
+
+    found = find_runs(folder)
+    if not found:
+        raise BadInput(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a .din file")
+    return found
+
+
+def print_results(results: "list[Result]", report: str) -> None:
+    """Print results in the form asked for."""
+    from cachesim import report as reports
+    from cachesim.text import print_tables
+
+    if report == "table":
+        print_tables(*reports.tables(results), sys.stdout)
+        return
+    write = {"json": reports.to_json, "csv": reports.to_csv, "dinero": reports.to_dinero}[report]
+    click.echo(write(results), nl=False)
+
+
+@npcache.command()
+@traces_option()
+@click.option("--format", "form", type=click.Choice(FORMATS), default=FORMATS[0], show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file instead of stdout.")
+def table1(folder: Path, form: str, as_json: bool, output: Path | None) -> None:
+    """Print Table I of the paper beside ours, for the runs there are.
+
+    \b
+    npcache table1
+    npcache table1 --format csv -o table1.csv
+    """
+    import io
+    import json
+
+    from cachesim import table1 as table
+    from cachesim import table1_text, text
+    from traces.format import open_run
+
+    runs: list[Run] = [open_run(path) for path in default_sources(folder)]
+    chosen = table.choose_runs(runs)
+    if not chosen:
+        raise BadInput(f"no run in {folder} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
+    with progress_bar("replay", sum(run.n_accesses for run in chosen.values())) as progress:
+        rows = table.table1(chosen.values(), progress=progress)
+    for tree, scene in table.missing(chosen):
+        click.echo(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}", err=True)
+    tables, notes = table1_text.tables(rows), table1_text.notes(rows)
+    if as_json or form == "json":
+        write_out(json.dumps(table.to_dicts(rows), indent=2) + "\n", output)
+    elif form == "csv":
+        write_out(table.to_csv(rows), output)
+    elif form == "table":
+        if output is None:
+            text.print_tables(tables, notes, sys.stdout)
+        else:
+            printed = io.StringIO()
+            text.print_tables(tables, notes, printed)
+            write_out(printed.getvalue(), output)
+    else:
+        write_out({"markdown": text.to_markdown, "latex": text.to_latex}[form](tables, notes), output)

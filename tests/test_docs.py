@@ -1,0 +1,38 @@
+"""What the README says is so: its SQL runs, its table is what the program prints, its pictures of the model hold."""
+
+import csv
+import os
+import re
+from pathlib import Path
+
+import duckdb
+import pytest
+from click.testing import CliRunner
+
+import cli
+
+ROOT = Path(cli.__file__).resolve().parent
+
+
+def run(group, *args):
+    result = CliRunner().invoke(group, [str(a) for a in args], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_the_query_of_the_readme_runs(tmp_path):
+    (query,) = re.findall(r"```sql\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    run(cli.nptrace, "render", "court", "--accel", "bvh", "--size", "24x24", "--out", tmp_path)
+    rows = duckdb.sql(query.replace("traces/sponza-bvh", str(tmp_path / "court-bvh"))).fetchall()
+    levels, reads, nodes = zip(*rows, strict=True)
+    n_rays = duckdb.sql(f"SELECT count(*) FROM '{tmp_path}/court-bvh/rays.parquet'").fetchone()[0]
+    assert list(levels) == list(range(len(levels)))
+    assert (reads[0], nodes[0]) == (n_rays, 1)
+
+
+@pytest.mark.skipif("NPTRACE_SCENES" not in os.environ, reason="the table is of the real scenes; NPTRACE_SCENES is not set")
+def test_the_table_of_the_readme_is_what_the_program_prints(tmp_path):
+    run(cli.nptrace, "render", "bunny", "conference", "sibenik", "sponza", "--out", tmp_path)
+    printed = run(cli.npcache, "table1", "--traces", tmp_path, "--format", "csv")
+    assert printed == (ROOT / "docs" / "table1.csv").read_text()
+    assert len(list(csv.DictReader(printed.splitlines()))) == 32
