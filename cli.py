@@ -263,13 +263,13 @@ def check(names: tuple[str, ...], size: str, n_random: int, seed: int, strict: b
     nptrace check model.ply --random 1000000
     """
     from rtrace.camera import parse_size
-    from rtrace.render import TREES, build_tree
+    from rtrace.treecache import TREES, cached_tree
     from rtrace.verify import compare
 
     width, height = parse_size(size)
     rows = []
     for scene in load_scenes(names, strict, offline):
-        trees = [build_tree(scene.triangles, kind) for kind in TREES]
+        trees = [cached_tree(scene, kind) for kind in TREES]
         rows += [(scene.label, row) for row in compare(trees, scene, width, height, n_random, seed)]
     bad = [row for _, row in rows if not row.is_good]
     if as_json:

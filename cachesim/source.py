@@ -15,7 +15,7 @@ from traces.din import DinTrace
 from traces.format import Run, open_run
 
 #: Events handed on at a time: their arrays stay in a core's share of the last-level cache.
-BATCH = 1 << 18
+BATCH = 1 << 17
 
 
 class Lines(Protocol):

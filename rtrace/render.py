@@ -14,15 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rtrace.bvh import build_bvh
 from rtrace.camera import ORDERS, check_size, format_camera, pixel_order
-from rtrace.kdtree import build_kdtree
 from rtrace.nodes import Tree, node_table
 from rtrace.scene import Scene
 from rtrace.shoot import Chunk, shoot
+from rtrace.treecache import cached_tree
 from traces.format import BOX, PREFETCH, PRIMARY, SHADOW, SPLIT, RunWriter
 
-TREES = ("kdtree", "bvh")
 CHUNK = 4096  # pixels: a few ms of work, so that threads end together, and a few MB of accesses
 AHEAD = 2  # chunks traced but not yet written, per thread
 
@@ -85,15 +83,6 @@ class Summary(NamedTuple):
     def accesses_per_ray(self) -> float:
         """Demand accesses per ray, of both types."""
         return self.n_accesses / self.n_rays
-
-
-def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
-    """Build a ``"kdtree"`` or a ``"bvh"``; parameters as ``build_kdtree`` and ``build_bvh``."""
-    if kind == "kdtree":
-        return build_kdtree(triangles, **params)
-    if kind == "bvh":
-        return build_bvh(triangles, **params)
-    raise ValueError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
 
 
 def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterator[Chunk]:
@@ -223,9 +212,7 @@ def render_all(
     The trees are built by threads ahead of the pictures; summaries come as the runs are written.
     """
     with ThreadPoolExecutor(threads) as pool:
-        jobs = [
-            (s, kind, pool.submit(build_tree, s.triangles, kind, **given)) for s in scenes for kind, given in params.items()
-        ]
+        jobs = [(s, kind, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
         try:
             for scene, kind, tree in jobs:
                 path = folder / f"{scene.name}-{kind}"

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rtrace.bvh import build_bvh
 from rtrace.nodes import LEAF, node_table
-from rtrace.procedural import boxes, height_field, icosphere, soup
+from rtrace.shapes import boxes, height_field, icosphere, soup
 
 coordinate = st.integers(-8, 8).map(float)
 triangle_lists = st.lists(st.lists(coordinate, min_size=9, max_size=9), min_size=1, max_size=40)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from rtrace.camera import ORDERS, Camera
-from rtrace.procedural import boxes, icosphere
-from rtrace.render import Shooting, build_tree, render
+from rtrace.render import Shooting, render
 from rtrace.scene import scene_from_triangles
+from rtrace.shapes import boxes, icosphere
 from rtrace.shoot import primary_rays, shadow_rays
 from rtrace.traverse import trace, trace_recorded
+from rtrace.treecache import build_tree
 from tests.traversal_reference import events_of
 from traces.format import FILES, LEAF, PREFETCH, PUSH, open_run
 

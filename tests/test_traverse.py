@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rtrace.bvh import build_bvh
 from rtrace.kdtree import build_kdtree
-from rtrace.procedural import boxes, height_field, icosphere, soup
+from rtrace.shapes import boxes, height_field, icosphere, soup
 from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
 from tests.traversal_reference import events_of, traverse
 

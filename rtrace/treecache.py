@@ -1,0 +1,87 @@
+"""Trees kept in the user's cache: a scene and builder parameters -> the tree, built once.
+
+A file is named by a hash of all that decides the tree: the triangles, the kind, the parameters and the sources of the kernels.
+It appears whole (written under another name and renamed), so two processes at once do no harm; a file that cannot be read
+is built again. The oldest files go when the folder grows beyond ``MAX_BYTES``.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from platformdirs import user_cache_path
+
+from jit import kernel_digest
+from rtrace.bvh import build_bvh
+from rtrace.kdtree import build_kdtree
+from rtrace.nodes import BVH_NODE, KD_NODE, Tree
+from rtrace.scene import Scene
+
+TREES = ("kdtree", "bvh")
+MAX_BYTES = 2 << 30
+
+
+def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
+    """Build a ``"kdtree"`` or a ``"bvh"``; parameters as ``build_kdtree`` and ``build_bvh``."""
+    if kind == "kdtree":
+        return build_kdtree(triangles, **params)
+    if kind == "bvh":
+        return build_bvh(triangles, **params)
+    raise ValueError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
+
+
+def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: Any) -> Tree:
+    """Return the scene's tree, from the cache (``folder``, or the user's) if it was built before; build and keep it otherwise.
+
+    Parameters as ``build_tree``. A cache that cannot be written to is done without.
+    """
+    folder = folder or user_cache_path("nptrace") / "trees"
+    key = json.dumps([scene.sha256, kind, sorted(params.items()), kernel_digest()])
+    path = folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
+    try:
+        return _load(path, scene, kind)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        tree = build_tree(scene.triangles, kind, **params)
+    with suppress(OSError):
+        _store(path, tree)
+        _forget_oldest(folder)
+    return tree
+
+
+def _load(path: Path, scene: Scene, kind: str) -> Tree:
+    with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:  # the zip has a checksum for each array
+        params = json.loads(bytes(arrays["params"]))
+        nodes = arrays["nodes"].view(KD_NODE if kind == "kdtree" else BVH_NODE)
+        prims, max_level = arrays["prims"], int(arrays["max_level"])
+    with suppress(OSError):
+        os.utime(path)  # lately used: not among the oldest
+    return Tree(kind, nodes, prims, scene.triangles, scene.bounds, max_level, params)
+
+
+def _store(path: Path, tree: Tree) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            params = np.frombuffer(json.dumps(tree.params).encode(), np.uint8)
+            np.savez(file, nodes=tree.nodes.view(np.uint32), prims=tree.prims, max_level=tree.max_level, params=params)
+        os.replace(temporary, path)
+    finally:
+        with suppress(FileNotFoundError):
+            os.unlink(temporary)
+
+
+def _forget_oldest(folder: Path) -> None:
+    files = sorted((p.stat().st_mtime, p.stat().st_size, p) for p in folder.glob("*.npz"))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in files[:-1]:
+        if total <= MAX_BYTES:
+            break
+        path.unlink(missing_ok=True)
+        total -= size
