@@ -24,12 +24,12 @@ _KEPT_FOLDERS = 4  # compiled sets of earlier sources; older ones are deleted
 
 def kernel_digest() -> str:
     """Hash of every source file with a kernel, of Python, NumPy and Numba, and of the bounds-check setting."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(Path(__file__).read_bytes())
     for version in (sys.version, np.__version__, numba.__version__, os.environ.get("NUMBA_BOUNDSCHECK", "")):
         digest.update(version.encode() + b"\0")
-    for path in sorted([*(p for package in _PACKAGES for p in _HERE.glob(f"{package}/*.py")), Path(__file__)]):
+    for path in sorted(p for package in _PACKAGES for p in _HERE.glob(f"{package}/*.py")):
         source = path.read_bytes()
-        if b"@kernel" in source:
+        if b"from jit import" in source:
             digest.update(path.name.encode() + b"\0" + source)
     return digest.hexdigest()[:16]
 
@@ -68,3 +68,6 @@ numba.config.CACHE_DIR = str(CACHE_FOLDER)  # type: ignore[attr-defined]
 #: Decorator of every kernel: compiled once per source, releases the GIL, divides by zero as IEEE 754 does, no fastmath
 #: (so no fused multiply-add: the counts are the same on every machine).
 kernel: Any = partial(numba.njit, cache=True, nogil=True, error_model="numpy")
+
+#: Decorator of a small function that only kernels call: pasted into them, without counting references to its arrays.
+inlined: Any = partial(kernel, _nrt=False, forceinline=True)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jit import kernel
+from jit import inlined, kernel
 from rtrace import nodes as layout
 from rtrace.intersect import NARROWER, NO_PRIM, WIDER, shear, triangle_t
 from rtrace.nodes import Tree, words
@@ -63,7 +63,7 @@ class Hits(NamedTuple):
     t: np.ndarray
 
 
-@kernel
+@inlined
 def _closest_in_leaf(prims, first, n_prims, tri, origin, ray, k, shear_, near_t, best, best_prim, any_hit):
     """Test the triangles of a leaf; return the better of (best, best_prim) and the best hit among them."""
     kx, ky, kz = k
@@ -79,7 +79,7 @@ def _closest_in_leaf(prims, first, n_prims, tri, origin, ray, k, shear_, near_t,
     return best, best_prim
 
 
-@kernel
+@inlined
 def _request_stack(stack, pp, events, n_events):
     """Request the nodes below the pre-fetch pointer, from the top; return the number of events."""
     while pp > ZERO:
@@ -210,8 +210,7 @@ def trace_kdtree(
         t0 *= NARROWER
         t1 *= WIDER
         if t0 <= t1:
-            (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz)
-            okx, oky, okz = np.float64(origin[ray + kx]), np.float64(origin[ray + ky]), np.float64(origin[ray + kz])
+            k, shear_ = shear(dx, dy, dz)
             sp, pp, node = ZERO, ZERO, ZERO
             while True:
                 b = node * TWO
@@ -256,18 +255,12 @@ def trace_kdtree(
                     events[n_events] = node << TWO | ENTER
                     n_events += ONE
                     if n_prims > ZERO:
-                        while pp > ZERO:
-                            pp -= ONE
-                            events[n_events] = np.uint64(stack[pp]) << TWO | PREFETCH
-                            n_events += ONE
+                        n_events = _request_stack(stack, pp, events, n_events)
+                        pp = ZERO
                 leaf = np.uint64(meta[b])
-                for j in range(leaf, leaf + n_prims):
-                    c = prims[j]
-                    h = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, okx, oky, okz, sx, sy, sz)
-                    if h >= near_t and (h < best or (h == best and c < best_prim)):
-                        best, best_prim = h, c
-                        if any_hit:
-                            break
+                best, best_prim = _closest_in_leaf(
+                    prims, leaf, n_prims, tri, origin, ray, k, shear_, near_t, best, best_prim, any_hit
+                )
                 if any_hit and best_prim != NO_PRIM:
                     break
                 while sp > ZERO and entry[sp - ONE] > best:

@@ -226,7 +226,7 @@ def measure(paths):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-@pytest.mark.parametrize(("form", "rows"), [("run", (3.3e6, 10e6)), ("text", (1e6, 4e6)), ("binary", (1e6, 4e6))])
+@pytest.mark.parametrize(("form", "rows"), [("run", (3e6, 12e6)), ("text", (1e6, 9e6)), ("binary", (1e6, 9e6))])
 def test_memory_does_not_grow_with_the_trace(tmp_path, form, rows):
     trace = make_trace("bvh", 1, n_rays=400, max_level=12)
     paths = []
@@ -239,5 +239,5 @@ def test_memory_does_not_grow_with_the_trace(tmp_path, form, rows):
             export_din(run, paths[-1], fmt=form)
     measure([paths[0]])  # compiles, which takes memory of its own
     short, long = measure(paths)
-    assert long < short + 10, "MB"
+    assert long < short + 30, "MB"  # one uint32 for each access more would be 32 at least
     assert long < 300, "MB"

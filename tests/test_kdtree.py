@@ -261,6 +261,14 @@ def needles(n, seed=3):
     return start.astype(np.float32)
 
 
+def walls(n, seed):
+    """Each triangle lies in one of a few planes."""
+    rng = np.random.default_rng(seed)
+    triangles = small_soup(n, seed)
+    triangles[np.arange(n), :, rng.integers(0, 3, n)] = rng.choice(np.float32([0.1, 0.3, 0.7]), (n, 1))
+    return triangles
+
+
 def scale(triangles, factor):
     return (triangles.astype(np.float64) * factor).astype(np.float32)
 
@@ -309,10 +317,13 @@ def test_the_tree_is_that_of_the_slow_builder(triangles, c_trav, c_isect, empty_
         icosphere(1)[:60],
         fan(24),
         needles(40),
+        walls(60, seed=4),
     ],
-    ids=["soup", "in a plane", "boxes", "icosphere", "fan", "needles"],
+    ids=["soup", "in a plane", "boxes", "icosphere", "fan", "needles", "walls"],
 )
-@pytest.mark.parametrize("options", [{}, {"c_trav": 0.1, "max_level": 30}, {"empty_bonus": 0.8, "max_level": 12}])
+@pytest.mark.parametrize(
+    "options", [{}, {"c_trav": 0.1, "max_level": 30}, {"c_trav": 0.0, "empty_bonus": 0.8, "max_level": 12}]
+)
 def test_scenes_give_the_tree_of_the_slow_builder(triangles, options):
     assert_same_tree(build_kdtree(triangles, **options), slow_kdtree(triangles, **options))
 
@@ -328,8 +339,8 @@ def test_leaves_list_what_an_exact_clip_finds(triangles):
 
 @pytest.mark.parametrize(
     "triangles",
-    [icosphere(2), height_field(8), boxes(2), soup(150, seed=2), small_soup(200, seed=1), fan(60), needles(100)],
-    ids=["icosphere", "height field", "boxes", "soup", "small soup", "fan", "needles"],
+    [icosphere(2), height_field(8), boxes(2), soup(150, 2), small_soup(200, 1), fan(60), needles(100), walls(100, 5)],
+    ids=["icosphere", "height field", "boxes", "soup", "small soup", "fan", "needles", "walls"],
 )
 def test_scenes(triangles):
     tree = build_kdtree(triangles)
@@ -386,7 +397,7 @@ HARD = {
     "on an axis": small_soup(500, 3) * np.float32([0, 1, 0]),
     "on a diagonal": np.repeat(small_soup(500, 3)[:, :, :1], 3, axis=2),
     "in a plane": small_soup(1000, 4) * np.float32([1, 1, 0]) + np.float32(0.1),
-    "fan": fan(3000),
+    "fan": fan(5000),
     "needles": needles(3000),
     "needles from one corner": needles(3000) * np.float32([1, 1, 1]) - np.float32(0.02) * (np.arange(3)[:, None] == 0),
     "soup": soup(2000, 1),
@@ -512,6 +523,17 @@ def test_split_bounds_are_the_exact_ones_rounded_outward(corners, planes, axis):
                 assert values[3 + k] >= exact[1] - 1e-13
                 assert values[k] >= next_float32(outward(*exact)[0], up=False) - 1e-13
                 assert values[3 + k] <= next_float32(outward(*exact)[1], up=True) + 1e-13
+
+
+def test_a_part_that_rounding_left_empty_stays_near_its_triangle():
+    triangle = np.float32([[0, 0, 0], [1, 0.25, 0.5], [0, 5, 5]])
+    one = rank(np.float32(1))
+    bounds = np.array([0, 0, 0, one + 2, rank(np.float32(5)), rank(np.float32(5))], np.int32)
+    below, above = np.zeros(6, np.int32), np.zeros(6, np.int32)
+    cell = np.array([-9, -9, -9, 9, 9, 9], np.float64)
+    split_bounds(triangle.reshape(9), 0, cell, 0, 0, one + 1, bounds, 0, below, above, np.empty(3 * POLYGON))
+    assert [value(int(place)) for place in below] == [0, 0, 0, 1, 5, 5]
+    assert above.tolist() == [one + 1, rank(np.float32(0.25)), rank(np.float32(0.5)), one + 2, *above[1:3]]
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False), st.floats(width=32, allow_nan=False, allow_infinity=False))
