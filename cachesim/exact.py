@@ -120,26 +120,25 @@ def access(cache, line, line_id, label):
 
 
 @kernel(_nrt=False)
-def replay_exact(lines, ids, labels, offset, cache):
+def replay_exact(lines, ids, labels, cache):
     """Replay accesses in order; the pre-fetches among them are requests of their own.
 
     Parameters
     ----------
     lines : (n,) uint32
-        Line numbers less ``offset``.
+        Line numbers; those of a source may start at its lowest line.
     ids : (n,) uint32
         Dense id of each line.
     labels : (n,) uint8
         READ, IFETCH or MISC, with PREFETCH or-ed for a pre-fetch.
-    offset : int
     cache : Cache
     """
     for i in range(lines.size):
-        access(cache, np.int64(lines[i]) + offset, np.int64(ids[i]), labels[i])
+        access(cache, np.int64(lines[i]), np.int64(ids[i]), labels[i])
 
 
 @kernel(_nrt=False)
-def replay_sequential(lines, ids, next_ids, labels, offset, cache, trigger, distance):
+def replay_sequential(lines, ids, next_ids, labels, cache, trigger, distance):
     """Replay accesses in order with a sequential pre-fetcher, whose request follows the access that triggers it.
 
     As ``replay_exact``, and ``next_ids`` are the ids of the lines ``distance`` further on. Only reads and instruction
@@ -147,7 +146,7 @@ def replay_sequential(lines, ids, next_ids, labels, offset, cache, trigger, dist
     a pre-fetch filled it.
     """
     for i in range(lines.size):
-        line, line_id, label = np.int64(lines[i]) + offset, np.int64(ids[i]), labels[i]
+        line, line_id, label = np.int64(lines[i]), np.int64(ids[i]), labels[i]
         was_resident = (cache.facts[line_id] & RESIDENT) != 0
         is_new = access(cache, line, line_id, label)
         if label != READ and label != IFETCH:

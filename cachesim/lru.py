@@ -1,7 +1,7 @@
 """Counts only, LRU: line numbers and labels in, misses per label out. The fast paths for few ways.
 
-Lines are uint32 *relative* lines: the line number is ``lines[i] + offset``, which decides the set. The state is updated in
-place, so replaying a trace in batches is replaying it at once. Measured, ns per access from memory on one core:
+Lines are uint32. A source may number them from its lowest line: that turns the sets round and changes no count. The state is
+updated in place, so replaying a trace in batches is replaying it at once. Measured, ns per access from memory on one core:
 direct mapped 1.2, two ways 1.7, four 2.9, eight 4.0.
 """
 
@@ -32,22 +32,22 @@ def set_of(line, n_sets, mask):
 
 
 @kernel
-def direct_mapped(lines, labels, offset, n_sets, mask, tags, misses):
+def direct_mapped(lines, labels, n_sets, mask, tags, misses):
     """Replay lines through a direct-mapped cache; ``misses[label]`` counts up."""
     for i in range(lines.size):
         line = np.int64(lines[i])
-        s = set_of(line + offset, n_sets, mask)
+        s = set_of(line, n_sets, mask)
         if tags[s] != line:
             tags[s] = line
             misses[labels[i]] += 1
 
 
 @kernel
-def two_way(lines, labels, offset, n_sets, mask, tags, misses):
+def two_way(lines, labels, n_sets, mask, tags, misses):
     """Replay lines through a two-way LRU cache; ``misses[label]`` counts up."""
     for i in range(lines.size):
         line = np.int64(lines[i])
-        s = 2 * set_of(line + offset, n_sets, mask)
+        s = 2 * set_of(line, n_sets, mask)
         first = tags[s]
         if first != line:
             if tags[s + 1] != line:
@@ -57,11 +57,11 @@ def two_way(lines, labels, offset, n_sets, mask, tags, misses):
 
 
 @kernel
-def n_way(lines, labels, offset, n_sets, mask, ways, tags, misses):
+def n_way(lines, labels, n_sets, mask, ways, tags, misses):
     """Replay lines through an LRU cache of any number of ways by moving to the front; ``misses[label]`` counts up."""
     for i in range(lines.size):
         line = np.int64(lines[i])
-        s = ways * set_of(line + offset, n_sets, mask)
+        s = ways * set_of(line, n_sets, mask)
         carried = tags[s]
         if carried == line:
             continue

@@ -47,7 +47,6 @@ class _Stream:
 
     def __init__(self, lines: Lines, *, needs_ids: bool, ahead: int) -> None:
         self._source, self._needs_ids, self._ahead = lines, needs_ids, ahead
-        self.offset = lines.offset
         self.totals = np.zeros(N_LABELS, np.int64)
         self.n_ids = 0
         self.lines = self.labels = self.ids = self.next_ids = np.empty(0, np.uint32)
@@ -74,7 +73,7 @@ class _Counting:
 
     def step(self, stream: _Stream) -> None:
         """Replay the stream's current piece."""
-        config, where = self._config, (stream.lines, stream.labels, stream.offset, self._config.n_sets, self._mask)
+        config, where = self._config, (stream.lines, stream.labels, self._config.n_sets, self._mask)
         if config.ways == 1:
             lru.direct_mapped(*where, self._tags, self.misses)
         elif config.ways == 2:
@@ -96,9 +95,9 @@ class _Exact:
             self.cache = grow_cache(self.cache, max(stream.n_ids, 2 * self.cache.facts.size))
         piece = (stream.lines, stream.ids)
         if self._trigger:
-            replay_sequential(*piece, stream.next_ids, stream.labels, stream.offset, self.cache, self._trigger, self._distance)
+            replay_sequential(*piece, stream.next_ids, stream.labels, self.cache, self._trigger, self._distance)
         else:
-            replay_exact(*piece, stream.labels, stream.offset, self.cache)
+            replay_exact(*piece, stream.labels, self.cache)
 
     def row(self, which: int) -> np.ndarray:
         """Return one row of the counts, per label."""

@@ -21,10 +21,8 @@ BATCH = 1 << 17
 class Lines(Protocol):
     """The lines of a source for one line size: events in, the accesses of the cache out.
 
-    An event over a line boundary is one access to each line. The lines are uint32 numbers less ``offset``.
+    An event over a line boundary is one access to each line.
     """
-
-    offset: int
 
     def accesses(self, events: Any, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (line uint32, label uint8) of every access of a batch of events."""
@@ -126,12 +124,12 @@ class NodeLines:
 
     def __init__(self, address: np.ndarray, node_bytes: int, line_bytes: int, ahead: int) -> None:
         first, last = address // line_bytes, (address + node_bytes - 1) // line_bytes
-        self.offset = int(first.min())
-        self.n_ids = int(last.max()) - self.offset + 1 + ahead
+        lowest = int(first.min())  # numbering from it turns the sets round and changes no count
+        self.n_ids = int(last.max()) - lowest + 1 + ahead
         if self.n_ids >= 1 << 31:
             raise ValueError(f"the tree spans {self.n_ids} lines of {line_bytes} B; the limit is 2^31 - 1, use longer lines")
-        self._first = (first - self.offset).astype(np.uint32)
-        self._last = (last - self.offset).astype(np.uint32) if (last != first).any() else None
+        self._first = (first - lowest).astype(np.uint32)
+        self._last = (last - lowest).astype(np.uint32) if (last != first).any() else None
 
     def accesses(self, events: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of node reads."""
@@ -177,8 +175,6 @@ class DinSource:
 
 class AddressLines:
     """The lines of addresses below 2^32, numbered as they appear."""
-
-    offset = 0
 
     def __init__(self, line_bytes: int) -> None:
         self._line_bytes = line_bytes

@@ -23,6 +23,9 @@ class ExactHits(NamedTuple):
     t : dict of int to Fraction
         Where the ray's line meets each triangle, at any t. Edges and vertices belong to a triangle; one that is seen
         edge-on, or has no area, is not met.
+    edge_on : dict of int to (float, float)
+        Those that are seen edge-on, or have no area, and touch the line: least and largest t of their vertices, measured
+        along the direction's largest component. A test that rounds may take them for met, and anywhere in between.
     is_surrounded : dict of Fraction to bool
         For each t: whether a test that rounds, but computes the edge functions from vertices that neighbours share, must
         find a hit there. So it is when the line goes through the inside of a triangle, through an edge that two triangles
@@ -30,6 +33,7 @@ class ExactHits(NamedTuple):
     """
 
     t: dict[int, Fraction]
+    edge_on: dict[int, tuple[float, float]]
     is_surrounded: dict[Fraction, bool]
 
 
@@ -67,15 +71,23 @@ def _hits_of_one(moved: np.ndarray, along: np.ndarray, unit: Fraction) -> ExactH
     """Return what a line from 0 meets; ``unit`` is the t of a whole number."""
     a, b, c = moved[:, 0], moved[:, 1], moved[:, 2]
     weights = np.stack([_dot(_cross(c, b), along), _dot(_cross(a, c), along), _dot(_cross(b, a), along)], axis=1)
-    inside = ((weights >= 0).all(axis=1) | (weights <= 0).all(axis=1)) & (weights != 0).any(axis=1)
-    met = np.flatnonzero(inside)
+    is_met = (weights >= 0).all(axis=1) | (weights <= 0).all(axis=1)
+    is_flat = (weights == 0).all(axis=1)
+    met = np.flatnonzero(is_met & ~is_flat)
     normal = _cross((b - a)[met], (c - a)[met])
     ups, downs = _dot(a[met], normal), _dot(normal, along)
     t = {i: Fraction(int(up), int(down)) * unit for i, up, down in zip(met.tolist(), ups, downs, strict=True)}
     at: dict[Fraction, list[int]] = {}
     for i in t:
         at.setdefault(t[i], []).append(i)
-    return ExactHits(t, {key: _is_surrounded(moved[tied], weights[tied]) for key, tied in at.items()})
+    z = int(np.argmax(np.abs(along)))
+    edge_on = {}
+    for i in np.flatnonzero(is_flat).tolist():
+        p, q, r = _cross(along, moved[i])  # all parallel: on which side of the line, in the triangle's plane, is each vertex?
+        if min(_dot(p, q), _dot(q, r), _dot(r, p)) <= 0:
+            ts = [float(Fraction(int(x), int(along[z])) * unit) for x in moved[i, :, z]]
+            edge_on[i] = min(ts), max(ts)
+    return ExactHits(t, edge_on, {key: _is_surrounded(moved[tied], weights[tied]) for key, tied in at.items()})
 
 
 def _is_surrounded(corners: np.ndarray, weights: np.ndarray) -> bool:

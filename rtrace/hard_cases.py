@@ -28,6 +28,7 @@ _UNIT = 2.0**-29  # of verify.kappa, which is meant for float32
 _BRUTE_PAIRS = 10**8
 
 Point = tuple[float, float, float]
+Range = tuple[float, float]
 Tracer = Callable[[Rays, bool], Hits]
 Structures = Mapping[str, Callable[[np.ndarray], Tracer]]
 
@@ -41,14 +42,14 @@ class Answer(NamedTuple):
         Whether the ray hits; in a case with a light, whether the point that it hits is dark.
     is_ambiguous : (n,) bool
         Whether rounding may decide that.
-    nearest, met : list of n dicts of int to float, or None
-        The triangles that a closest-hit ray, an any-hit ray may report, and t at each. None: not tested.
+    nearest, met : list of n dicts of int to (float, float), or None
+        The triangles that a closest-hit ray, an any-hit ray may report, and the range of t at each. None: not tested.
     """
 
     is_hit: np.ndarray
     is_ambiguous: np.ndarray
-    nearest: list[dict[int, float]] | None = None
-    met: list[dict[int, float]] | None = None
+    nearest: list[dict[int, Range]] | None = None
+    met: list[dict[int, Range]] | None = None
 
 
 class Case(NamedTuple):
@@ -156,9 +157,10 @@ def _judge_hits(case: Case, tracer: Tracer) -> tuple[tuple[int, int, int, float]
             continue
         chosen = np.array([i for i in np.flatnonzero(got) if hits.prim[i] in right[i]], int)
         wrong += int((got & (answer.is_hit | answer.is_ambiguous)).sum()) - len(chosen)
-        want = np.array([right[i][hits.prim[i]] for i in chosen])
+        low, high = np.array([right[i][hits.prim[i]] for i in chosen]).reshape(-1, 2).T
+        off = np.maximum(low - hits.t[chosen], hits.t[chosen] - high).clip(0.0)
         unit = kappa(case.triangles, Rays(*(a[chosen] for a in rays)), hits.prim[chosen]) * _UNIT
-        worst = max(worst, float((np.abs(hits.t[chosen] - want) / unit).max(initial=0.0)))
+        worst = max(worst, float((off[off > 0] / unit[off > 0]).max(initial=0.0)))
     return (lost, invented, wrong, worst), [closest.prim, closest.t, first_met.prim >= 0]
 
 
@@ -193,13 +195,19 @@ def exact_case(triangles: np.ndarray, rays: Rays, *, rounds: bool = True, is_clo
         one = Rays(*(a[i : i + 1] for a in rays))
         sure, maybe = _in_interval(triangles, one, found, rounds, is_closed)
         answer.is_hit[i], answer.is_ambiguous[i] = bool(sure), bool(maybe) and not sure
-        both = sure | maybe
-        first = min(sure.values(), key=lambda hit: hit[0], default=(np.inf, 0.0))
-        near = {p: float(t) for p, (t, slack) in both.items() if t - slack - first[1] <= first[0]}
+        first, slack = min(sure.values(), key=lambda hit: hit[0], default=(np.inf, 0.0))
+        near = {p: (float(t), float(t)) for p, (t, s) in (sure | maybe).items() if t - s - slack <= first}
         if not rounds and near:
             near = {min(near): near[min(near)]}
-        answer.nearest.append({p: t for p, t in near.items() if copy_of[p] == p})
-        answer.met.append({p: float(t) for p, (t, _) in both.items()})
+        met = {p: (float(t), float(t)) for p, (t, _) in (sure | maybe).items()}
+        if rounds:
+            low, high = one.t_min[0], one.t_max[0]
+            edge_on = {p: ends for p, ends in found.edge_on.items() if ends[0] <= high and ends[1] >= low}
+            near |= {p: ends for p, ends in edge_on.items() if ends[0] <= first}
+            met |= edge_on
+            answer.is_ambiguous[i] |= bool(edge_on) and not sure
+        answer.nearest.append({p: ends for p, ends in near.items() if copy_of[p] == p})
+        answer.met.append(met)
     return Case(triangles, rays, answer, T_BOUND if rounds else 0.0)
 
 
@@ -365,3 +373,17 @@ def _(long):
 def _(long):
     soup = _lattice(9, (80, 3, 3), -2, 2)
     return exact_case(soup, _lattice_rays(11, 12000 if long else 2000, -3, 3, _ROUNDING))
+
+
+_QUAD = rectangle((-4, -4, 0), (8, 0, 0), (0, 8, 0)).astype(np.float32)  # in the plane z = 0
+_DOWN = _lattice_rays(20, 200, -5, 5, [0.0, 1.0, -1.0, -2.0])
+
+
+@_register("origins on faces, edges and vertices")
+def _(long):
+    triangles = boxes(2)
+    points = _corners_and_middles(triangles)
+    origin = np.repeat(points, 40, axis=0)
+    direction = np.concatenate([_AXES, np.array(list(itertools.product((1, -1), (2, -1), (4, -2, 0))), float)])
+    direction = np.resize(direction, (len(points), 36, 3))
+    return exact_case(triangles, make_rays(np.repeat(points, 36, axis=0), direction), rounds=False)

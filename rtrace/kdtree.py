@@ -400,9 +400,9 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         ("max_level", max_level, 0 <= max_level <= 65535, "0 to 65535, e.g. 511"),
         ("max_refs", max_refs, n <= max_refs <= _MAX_REFS, f"from the number of triangles, {n}, to 2**31 - 1"),
     )
-    for name, got, is_kept, rule in rules:
+    for name, given, is_kept, rule in rules:
         if not is_kept:
-            raise ValueError(f"{name} must be {rule}; got {got}")
+            raise ValueError(f"{name} must be {rule}; got {given}")
     triangles = np.ascontiguousarray(triangles)
     lower, upper = triangles.min(axis=1), triangles.max(axis=1)
     bounds = np.stack((lower.min(axis=0), upper.max(axis=0)))

@@ -90,6 +90,24 @@ def test_hits_equal_brute_force(scene, builder):
     np.testing.assert_array_equal(trace(tree, rays, any_hit=True).prim >= 0, truth.prim >= 0)
 
 
+@pytest.mark.parametrize("builder", BUILDERS)
+def test_rays_in_the_planes_of_boxes_equal_brute_force(builder):
+    """Such rays visit both sides of a split plane, so entries lie on the stack out of order."""
+    rng = np.random.default_rng(2)
+    lower = rng.integers(0, 12, (40, 1, 1, 3))
+    cube = boxes(1) - boxes(1).min(axis=(0, 1))
+    size = rng.integers(1, 5, (40, 1, 1, 3)) / cube.max()
+    triangles = np.float32(lower + cube * size).reshape(-1, 3, 3)
+    origin = rng.integers(-2, 18, (6000, 3)).astype(np.float32)
+    direction = rng.integers(-3, 4, (6000, 3)).astype(np.float32)
+    direction[np.arange(6000), rng.integers(0, 3, 6000)] = 0.0  # in the plane of a face, as likely as not
+    direction[~direction.any(axis=1), 0] = 1.0
+    rays = make_rays(origin, direction)
+    truth = trace_all(triangles, rays)
+    assert_same_hits(trace(BUILDERS[builder](triangles), rays), truth)
+    assert 1000 < (truth.prim >= 0).sum() < 5900
+
+
 @pytest.mark.parametrize("builder", ["kdtree", "bvh sweep"])
 def test_no_leaks_through_vertices_and_edges(builder):
     triangles = icosphere(3)
