@@ -63,7 +63,7 @@ class _Stream:
 
 
 class _Counting:
-    """A cache of which only misses are asked, LRU with few ways."""
+    """A cache of which only misses are asked, LRU with one way or two."""
 
     def __init__(self, config: CacheConfig) -> None:
         self._config = config
@@ -74,12 +74,8 @@ class _Counting:
     def step(self, stream: _Stream) -> None:
         """Replay the stream's current piece."""
         config, where = self._config, (stream.lines, stream.labels, self._config.n_sets, self._mask)
-        if config.ways == 1:
-            lru.direct_mapped(*where, self._tags, self.misses)
-        elif config.ways == 2:
-            lru.two_way(*where, self._tags, self.misses)
-        else:
-            lru.n_way(*where, config.ways, self._tags, self.misses)
+        kernel_of_ways = lru.direct_mapped if config.ways == 1 else lru.two_way
+        kernel_of_ways(*where, self._tags, self.misses)
 
 
 class _Exact:

@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from platformdirs import user_cache_path
 
+from rtrace import fetch
 from rtrace.camera import Camera, Point
 from rtrace.meshfile import READERS
 from rtrace.procedural import STAND_INS, stand_in
@@ -185,8 +187,8 @@ def list_scenes(cache: Path | None = None) -> list[SceneRow]:
     """Return what is known of each benchmark scene and where it is; reads no mesh and downloads nothing."""
     rows = []
     for e in CATALOG.values():
-        where = next((str(path) for path in (_in_folder(e), cache_path(e, cache)) if path and path.is_file()), "")
-        rows.append(SceneRow(e.name, e.title, e.n_triangles, where, e.licence, e.credit, e.url or "", e.stand_in))
+        where = _in_folder(e) or fetch.cached_file(e.name, cache or cache_folder()) or ""
+        rows.append(SceneRow(e.name, e.title, e.n_triangles, str(where), e.licence, e.credit, e.url or "", e.stand_in))
     return rows
 
 
@@ -243,14 +245,45 @@ def find_scene(
         notify(f"NPTRACE_SCENES is {folder!r}, which is no folder; looking elsewhere for {name}")
     own = _in_folder(entry)
     if own is not None:
-        return present(entry, _load_own(entry, own, strict), str(own), notify)
-    from rtrace import fetch  # here: needed by no other scene
-
-    cached = cache_path(entry, cache)
-    scene = fetch.load_cached(entry, cached, notify)
-    if scene is None and download and entry.url:
-        scene = fetch.download(entry, cached, notify, base_url)
-    if scene is not None:
-        return present(entry, scene, str(cached), notify)
+        if own.suffix.lower() in READERS:
+            scene = load_mesh(own, strict=strict)
+        else:
+            scene = fetch.load_archive(own, entry.member or f"{name}.obj", strict=strict)
+        return _present(entry, scene, str(own), notify)
+    cache = cache or cache_folder()
+    cached = fetch.load_cached(entry, cache, notify)
+    if cached is None and download and entry.url:
+        cached = fetch.download(entry, cache, notify, base_url)
+    if cached is not None:
+        return _present(entry, cached, "the downloaded mesh", notify)
     notify(f"{name} was not found: the built-in {entry.stand_in!r} stands in, its numbers are not those of {entry.title}")
-    return stand_in(entry.stand_in)._replace(name=name, source=f"built-in {entry.stand_in}, stand-in for {name}")
+    return stand_in(entry.stand_in)._replace(name=name, source=name, stand_in=True)
+
+
+def cache_folder() -> Path:
+    """Return the folder of the user's cache in which downloaded scenes are kept."""
+    return Path(user_cache_path("nptrace")) / "scenes"
+
+
+def _in_folder(entry: Entry) -> Path | None:
+    """Return the scene's file in $NPTRACE_SCENES: a mesh or archive with its name."""
+    folder = os.environ.get("NPTRACE_SCENES")
+    if not folder:
+        return None
+    candidates = [Path(folder) / (entry.name + suffix) for suffix in (*READERS, *_ARCHIVES)]
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _present(entry: Entry, scene: Scene, where: str, notify: Notify) -> Scene:
+    """Return the scene under its name, seen with the catalogue's camera; another mesh than the known one is said."""
+    notes = scene.notes
+    if scene.sha256 != entry.sha256:
+        notes += (
+            f"{where} is not the {entry.title} of the catalogue ({len(scene.triangles):,} triangles, not {entry.n_triangles:,}, "
+            "or other coordinates); results are not comparable with those of others",
+        )
+    scene = scene._replace(name=entry.name, source=entry.name, notes=notes)
+    bounds = np.array(entry.bounds)
+    if np.abs(scene.bounds - bounds).max() <= 0.05 * (bounds[1] - bounds[0]).max():
+        scene = scene._replace(camera=entry.camera, light=entry.light)
+    return scene

@@ -189,12 +189,11 @@ def exact_case(triangles: np.ndarray, rays: Rays, *, rounds: bool = True, is_clo
     """
     triangles = np.ascontiguousarray(triangles, np.float32)
     n = len(rays.t_min)
-    answer = Answer(np.empty(n, bool), np.empty(n, bool), [], [])
+    answer = Answer(np.zeros(n, bool), np.zeros(n, bool), [], [])
     copy_of = _lowest_equal(triangles)
     for i, found in enumerate(exact_hits(triangles, rays)):
         one = Rays(*(a[i : i + 1] for a in rays))
-        sure, maybe = _in_interval(triangles, one, found, rounds, is_closed)
-        answer.is_hit[i], answer.is_ambiguous[i] = bool(sure), bool(maybe) and not sure
+        sure, maybe = _in_interval(triangles, one, found, rounds)
         first, slack = min(sure.values(), key=lambda hit: hit[0], default=(np.inf, 0.0))
         near = {p: (float(t), float(t)) for p, (t, s) in (sure | maybe).items() if t - s - slack <= first}
         if not rounds and near:
@@ -205,13 +204,14 @@ def exact_case(triangles: np.ndarray, rays: Rays, *, rounds: bool = True, is_clo
             edge_on = {p: ends for p, ends in found.edge_on.items() if ends[0] <= high and ends[1] >= low}
             near |= {p: ends for p, ends in edge_on.items() if ends[0] <= first}
             met |= edge_on
-            answer.is_ambiguous[i] |= bool(edge_on) and not sure
         answer.nearest.append({p: ends for p, ends in near.items() if copy_of[p] == p})
         answer.met.append(met)
+        answer.is_hit[i] = bool(sure) or is_closed
+        answer.is_ambiguous[i] = bool(met) and not answer.is_hit[i]
     return Case(triangles, rays, answer, T_BOUND if rounds else 0.0)
 
 
-def _in_interval(triangles, ray: Rays, found: ExactHits, rounds: bool, is_closed: bool):
+def _in_interval(triangles, ray: Rays, found: ExactHits, rounds: bool):
     """Return two dicts, triangle -> (t, error that t may have): what must be found, and what rounding decides about."""
     sure, maybe = {}, {}
     t_min, t_max = ray.t_min[0], ray.t_max[0]
@@ -220,7 +220,7 @@ def _in_interval(triangles, ray: Rays, found: ExactHits, rounds: bool, is_closed
     slacks = T_BOUND * _UNIT * kappa(triangles, ray, np.array(list(found.t))) if rounds else np.zeros(len(found.t))
     for (p, t), slack in zip(found.t.items(), slacks.tolist(), strict=True):
         slack = slack or 0  # adding the integer leaves t exact
-        if t_min <= t - slack and t + slack <= t_max and (not rounds or is_closed or found.is_surrounded[t]):
+        if t_min <= t - slack and t + slack <= t_max and (not rounds or found.is_surrounded[t]):
             sure[p] = t, slack
         elif t_min <= t + slack and t - slack <= t_max:
             maybe[p] = t, slack
@@ -250,140 +250,378 @@ def aimed(origins, targets, **interval) -> Rays:
     return make_rays(origin[there], direction[there], **interval)
 
 
-def _register(name: str, *args) -> Callable:
-    """Enter a function (*args, long) -> Case into the catalogue."""
+#: Direction components whose quotients are exact, so that the shear does not round; and others.
+_EXACT, _ROUNDING = (0.0, -0.0, 1.0, -1.0, 2.0, -2.0, 4.0), (0.0, -0.0, 1.0, -1.0, 3.0, -5.0, 7.0)
+#: The six axis directions, with either zero in the other components.
+_AXES = np.array([np.roll([s, *zeros], k) for k in range(3) for s in (1, -1) for zeros in itertools.product((0.0, -0.0), repeat=2)])
+_INSIDE = np.array([[0.0, 0.0, 0.0], [0.1, -0.05, 0.2], [0.3, 0.4, -0.2]])  # of a ball of radius 1
+_OUTSIDE = np.array([[3.0, 0.5, -2.0], [-1.5, 1.5, 1.5]])
+_QUAD = rectangle((-4, -4, 0), (8, 0, 0), (0, 8, 0)).astype(np.float32)  # in the plane z = 0
+_OCTAHEDRON = 12 * np.array([[(x, 0, 0), (0, y, 0), (0, 0, z)] for x in (1, -1) for y in (1, -1) for z in (1, -1)], np.float32)
 
-    def keep(make):
+
+def _enter(name: str, *args):
+    """Return a decorator that enters a function (*args, long) -> Case into the catalogue."""
+
+    def enter(make):
         CASES[name] = partial(make, *args)
         return make
 
-    return keep
+    return enter
 
 
 def _corners_and_middles(triangles: np.ndarray) -> np.ndarray:
     """Return the vertices and the middles of the edges, each once, (n, 3) float32."""
     middles = (triangles + np.roll(triangles, 1, axis=1)) / 2
-    return np.unique(np.concatenate([triangles.reshape(-1, 3), middles.reshape(-1, 3)]).astype(np.float32), axis=0)
+    return np.unique(np.concatenate([triangles, middles]).reshape(-1, 3).astype(np.float32), axis=0)
 
 
 def _lattice(seed: int, shape, low: int, high: int, step: float = 1.0) -> np.ndarray:
-    """Return float32 multiples of ``step`` between low and high, picked at random."""
+    """Return float32 multiples of ``step``, from low to high steps, picked at random."""
     return (np.random.default_rng(seed).integers(low, high, shape, endpoint=True) * step).astype(np.float32)
 
 
-def _lattice_rays(seed: int, n: int, low: int, high: int, components, **interval) -> Rays:
-    """Return rays from multiples of 1/2 in [low, high]^3, with direction components picked from a list."""
-    origin = _lattice(seed, (n, 3), 2 * low, 2 * high, 0.5)
-    direction = np.random.default_rng(seed + 1).choice(components, (n, 3))
+def _random_rays(seed: int, origin: np.ndarray, components) -> Rays:
+    """Return a ray from each origin, its direction's components picked from a list."""
+    direction = np.random.default_rng(seed).choice(components, origin.shape)
     there = direction.any(axis=1)
-    return make_rays(origin[there], direction[there], **interval)
+    return make_rays(origin[there], direction[there])
 
 
-#: The six axis directions with both zeros in the other components.
-_AXES = np.array([np.roll([s, *zeros], k) for k in range(3) for s in (1.0, -1.0) for zeros in itertools.product((0.0, -0.0), repeat=2)])
-#: Direction components whose quotients are exact, so that the shear does not round; and others.
-_EXACT, _ROUNDING = (0.0, -0.0, 1.0, -1.0, 2.0, -2.0, 4.0), (0.0, -0.0, 1.0, -1.0, 3.0, -5.0, 7.0)
-
-_INSIDE = [[0.0, 0.0, 0.0], [0.1, -0.05, 0.2], [0.3, 0.4, -0.2]]  # of the unit ball
-_OUTSIDE = [[3.0, 0.5, -2.0], [-1.5, 1.5, 1.5]]
-_OCTAHEDRON = 12 * np.array([[(x, 0, 0), (0, y, 0), (0, 0, z)] for x in (1, -1) for y in (1, -1) for z in (1, -1)], np.float32)
-
-
-@_register("ball from inside, at vertices and edges")
+@_enter("ball from inside, at vertices and edges")
 def _(long):
     ball = icosphere(2 if long else 1)
     return exact_case(ball, aimed(_INSIDE, _corners_and_middles(ball)), is_closed=True)
 
 
-@_register("ball from outside, at vertices and edges")
+@_enter("ball from outside, at vertices and edges")
 def _(long):
     ball = icosphere(1)
     return exact_case(ball, aimed(_OUTSIDE, _corners_and_middles(ball)))
 
 
-@_register("ball from just inside, at grazing angles")
+@_enter("ball from just inside, at grazing angles")
 def _(long):
     ball = icosphere(1)
-    points = _corners_and_middles(ball)
-    return exact_case(ball, aimed(ball[:: 40 if not long else 10, 0] * np.float32(1 - 2.0**-20), points), is_closed=True)
+    origins = ball[:: 10 if long else 40, 0] * np.float32(1 - 2.0**-20)
+    return exact_case(ball, aimed(origins, _corners_and_middles(ball)), is_closed=True)
 
 
-@_register("large ball from inside, at vertices and edges")
+@_enter("large ball from inside, at vertices and edges")
 def _(long):
     ball = icosphere(6 if long else 4)
     return known_case(ball, aimed(_INSIDE[1:2], _corners_and_middles(ball)), True)
 
 
-@_register("octahedron from inside, exactly through vertices and edges")
+def _scaled_ball(scale, long):
+    ball = icosphere(1)
+    points = np.concatenate([_corners_and_middles(ball), icosphere(0).mean(axis=1)])
+    return exact_case(ball * np.float32(scale), aimed(_INSIDE * scale, points * np.float32(scale)), is_closed=True)
+
+
+for _scale in (2.0**-140, 1e-30, 1e-12, 1e12, 1e30, 1.5e38):
+    _enter(f"ball from inside, radius {_scale:.3g}", _scale)(_scaled_ball)
+
+
+def _moved_ball(extents, long):
+    # float32 moves the vertices, all triangles of one alike, by less than the distance from the origins to the surface.
+    away = 2 * extents * np.array([1.0, -0.7, 0.4])
+    ball = (icosphere(1) + away).astype(np.float32)
+    return exact_case(ball, aimed(away + np.array([[0, 0, 0], [0.25, -0.25, 0]]), _corners_and_middles(ball)), is_closed=True)
+
+
+for _extents in (1e4, 1e6):
+    _enter(f"ball from inside, {_extents:g} extents away", _extents)(_moved_ball)
+
+
+@_enter("directions of length 1e-30 to 1e30")
 def _(long):
-    steps = np.arange(12)[:, None, None]
-    along = (_OCTAHEDRON[:, [0, 1, 2]] * (12 - steps[:, None]) + _OCTAHEDRON[:, [1, 2, 0]] * steps[:, None]) / 12
-    return exact_case(_OCTAHEDRON, aimed([[1, 2, -1], [3, -2, 5], [0, 0, 0]], np.unique(along.reshape(-1, 3), axis=0)), is_closed=True)
+    ball = icosphere(1)
+    rays = aimed(_INSIDE[1:2], _corners_and_middles(ball))
+    lengths = np.resize(np.float32([1e-30, 1e-20, 1e-10, 1e10, 1e20, 1e30]), (len(rays.t_min), 1))
+    return exact_case(ball, make_rays(rays.origin, rays.direction * lengths), is_closed=True)
 
 
-@_register("height field, exactly through vertices and edges")
+@_enter("directions with subnormal components")
+def _(long):
+    origin = _lattice(30, (1000 if long else 250, 3), -2, 12, 0.5)
+    return exact_case(boxes(2), _random_rays(31, origin, [0.0, 1e-40, -1e-45, 1e-45, 1.0, -1.0]))
+
+
+@_enter("octahedron from inside, exactly through vertices and edges")
+def _(long):
+    s = np.arange(12)[:, None, None, None] / 12
+    points = np.unique((_OCTAHEDRON * (1 - s) + np.roll(_OCTAHEDRON, 1, axis=1) * s).reshape(-1, 3), axis=0)
+    return exact_case(_OCTAHEDRON, aimed([[1, 2, -1], [3, -2, 5], [0, 0, 0]], points), is_closed=True)
+
+
+@_enter("height field, exactly through vertices and edges")
 def _(long):
     field = height_field(6)
     origins = _lattice(3, (30 if long else 6, 3), -7, 13) + np.float32([0, 12, 0])
     return exact_case(field, aimed(origins, _corners_and_middles(field)))
 
 
-@_register("flat grid at grazing angles")
+@_enter("flat grid at grazing angles")
 def _(long):
-    grid = rectangle((0, 0, 0), (8, 0, 0), (0, 0, 8), 8, 8)
+    grid = rectangle((0, 0, 0), (8, 0, 0), (0, 0, 8), 8, 8).astype(np.float32)
     low = [[-1, 2.0**-k, 3.5] for k in ((4, 10, 16, 20) if long else (4, 20))]
-    return exact_case(grid, aimed(low, _corners_and_middles(np.float32(grid))))
+    return exact_case(grid, aimed(low, _corners_and_middles(grid)))
 
 
-@_register("boxes, axis-parallel rays in face planes")
+@_enter("triangles almost edge-on")
 def _(long):
-    triangles = boxes(3)
-    rays = _lattice_rays(5, 6000 if long else 1500, -2, 8, [0.0])
-    origin = _lattice(5, (6000 if long else 1500, 3), -4, 16, 0.5)
-    return exact_case(triangles, make_rays(origin, np.resize(_AXES, origin.shape)), rounds=False)
+    tilt = _lattice(33, (30, 3, 3), -64, 64) * np.float32([1, 1, 2.0**-23])
+    origin = _lattice(34, (200, 3), -128, 128, 0.5) * np.float32([1, 1, 2.0**-20])
+    direction = _lattice(35, (200, 3), -7, 7) * np.float32([1, 1, 2.0**-21]) + np.float32([8, 0, 0])
+    return exact_case(tilt, make_rays(origin, direction))
 
 
-@_register("boxes, rays in planes and on edges")
+@_enter("boxes, axis-parallel rays in face planes")
 def _(long):
-    return exact_case(boxes(3), _lattice_rays(6, 6000 if long else 1500, -2, 8, _EXACT), rounds=False)
+    origin = _lattice(5, (6000 if long else 1200, 3), -4, 16, 0.5)
+    return exact_case(boxes(3), make_rays(origin, np.resize(_AXES, origin.shape)), rounds=False)
 
 
-@_register("height field, rays on grid lines")
+@_enter("boxes, rays in face planes and on edges")
 def _(long):
-    origin = _lattice(7, (6000 if long else 1500, 3), 0, 8)
-    direction = np.resize(np.concatenate([_AXES, [[0, -1, 2], [1, -1, -0.0], [-4, 1, 2], [1, 2, 1], [-0.0, 1, 1], [1, 0, 1]]]), origin.shape)
-    return exact_case(height_field(8), make_rays(origin, direction), rounds=False)
+    origin = _lattice(6, (6000 if long else 1200, 3), -4, 16, 0.5)
+    return exact_case(boxes(3), _random_rays(6, origin, _EXACT), rounds=False)
 
 
-@_register("checkerboard floor, rays in it and through its corners")
-def _(long):
-    floor = rectangle((0, 0, 0), (8, 0, 0), (0, 0, 8), 8, 8).reshape(8, 8, 6, 3)[::2, ::2].reshape(-1, 3, 3)
-    rays = _lattice_rays(8, 1500, -1, 9, _EXACT)
-    origin = rays.origin * np.float32([1, 0.25, 1])
-    return exact_case(floor, make_rays(origin, rays.direction), rounds=False)
-
-
-@_register("lattice soup, flat ones and copies among them")
-def _(long):
-    soup = _lattice(9, (80, 3, 3), -2, 2)
-    return exact_case(soup, _lattice_rays(10, 12000 if long else 3000, -3, 3, _EXACT), rounds=False)
-
-
-@_register("lattice soup, slopes that round")
-def _(long):
-    soup = _lattice(9, (80, 3, 3), -2, 2)
-    return exact_case(soup, _lattice_rays(11, 12000 if long else 2000, -3, 3, _ROUNDING))
-
-
-_QUAD = rectangle((-4, -4, 0), (8, 0, 0), (0, 8, 0)).astype(np.float32)  # in the plane z = 0
-_DOWN = _lattice_rays(20, 200, -5, 5, [0.0, 1.0, -1.0, -2.0])
-
-
-@_register("origins on faces, edges and vertices")
+@_enter("boxes from 2^40 away")
 def _(long):
     triangles = boxes(2)
-    points = _corners_and_middles(triangles)
-    origin = np.repeat(points, 40, axis=0)
-    direction = np.concatenate([_AXES, np.array(list(itertools.product((1, -1), (2, -1), (4, -2, 0))), float)])
-    direction = np.resize(direction, (len(points), 36, 3))
-    return exact_case(triangles, make_rays(np.repeat(points, 36, axis=0), direction), rounds=False)
+    targets = _lattice(36, (200, 3), -3, 11, 0.5)
+    direction = np.resize(_AXES, targets.shape)
+    origin = np.where(direction == 0, targets, -direction * 2.0**40)
+    return exact_case(triangles, make_rays(origin, direction), rounds=False)
+
+
+@_enter("height field, rays on grid lines")
+def _(long):
+    origin = _lattice(7, (6000 if long else 1200, 3), 0, 8)
+    slanted = [[0, -1, 2], [1, -1, -0.0], [-4, 1, 2], [1, 2, 1], [-0.0, 1, 1], [1, 0, 1]]
+    return exact_case(height_field(8), make_rays(origin, np.resize(np.concatenate([_AXES, slanted]), origin.shape)), rounds=False)
+
+
+@_enter("checkerboard floor, rays in it and through its corners")
+def _(long):
+    floor = rectangle((0, 0, 0), (8, 0, 0), (0, 0, 8), 8, 8).reshape(8, 8, 6, 3)[::2, ::2].reshape(-1, 3, 3)
+    origin = _lattice(8, (1200, 3), -1, 18, 0.5) * np.float32([1, 0.25, 1])
+    return exact_case(floor, _random_rays(8, origin, _EXACT), rounds=False)
+
+
+@_enter("lattice soup, flat ones and equals among them")
+def _(long):
+    soup = _lattice(9, (80, 3, 3), -2, 2)
+    return exact_case(soup, _random_rays(10, _lattice(10, (9000 if long else 1500, 3), -6, 6, 0.5), _EXACT), rounds=False)
+
+
+@_enter("lattice soup, slopes that round")
+def _(long):
+    soup = _lattice(9, (80, 3, 3), -2, 2)
+    return exact_case(soup, _random_rays(11, _lattice(11, (9000 if long else 1500, 3), -6, 6, 0.5), _ROUNDING))
+
+
+@_enter("lattice soup, zeros of both signs")
+def _(long):
+    soup = _lattice(12, (80, 3, 3), -1, 1)
+    soup[np.random.default_rng(12).random(soup.shape) < 0.5] *= np.float32(-1)
+    origin = _lattice(13, (1500, 3), -2, 2, 0.5)
+    origin[::2] = -origin[::2]
+    return exact_case(soup, _random_rays(13, origin, _EXACT), rounds=False)
+
+
+@_enter("one triangle")
+def _(long):
+    one = np.float32([[[0, 0, 0], [4, 0, 0], [0, 4, 0]]])
+    return exact_case(one, _random_rays(14, _lattice(14, (1500, 3), -4, 12, 0.5), _EXACT), rounds=False)
+
+
+@_enter("origins on faces, edges and vertices")
+def _(long):
+    points = _corners_and_middles(boxes(2))
+    slanted = list(itertools.product((1, -1), (2, -1), (4, -2, 0)))
+    direction = np.concatenate([_AXES[:: 1 if long else 4], slanted])
+    origin = np.repeat(points, len(direction), axis=0)
+    # At every other ray what lies at t = 0 counts, at the others only what lies beyond.
+    t_min = np.resize([0.0, 5e-324], len(origin))
+    return exact_case(boxes(2), make_rays(origin, np.tile(direction, (len(points), 1)), t_min), rounds=False)
+
+
+@_enter("origins a hair off a surface")
+def _(long):
+    rng = np.random.default_rng(15)
+    origin = rng.choice(np.float32([0, 1e-20, -1e-20, 1e-40, -1e-40, 0.25, 1, 1.5]), (1500 if long else 300, 3))
+    return exact_case(boxes(2), make_rays(origin, rng.uniform(-1, 1, origin.shape)))
+
+
+@_enter("copies: a thousand, some of them reversed")
+def _(long):
+    triangles = np.concatenate([_QUAD - np.float32([0, 0, 3]), *[_QUAD, _QUAD[:, ::-1]] * 250])
+    return exact_case(triangles, _random_rays(16, _lattice(16, (40, 3), -8, 8, 0.5), _EXACT), rounds=False)
+
+
+@_enter("copies: a hundred thousand")
+def _(long):
+    rays = _random_rays(17, _lattice(17, (60, 3), -8, 8, 0.5), _EXACT)
+    one = exact_case(_QUAD[:1], rays, rounds=False)
+    return one._replace(triangles=np.repeat(_QUAD[:1], 100_000, axis=0), answer=one.answer._replace(met=None))
+
+
+@_enter("overlapping triangles in two planes")
+def _(long):
+    in_plane = _lattice(18, (60, 3, 3), -3, 3) * np.float32([1, 1, 0])
+    triangles = np.concatenate([in_plane, np.roll(in_plane[::-1], 1, axis=2) + np.float32([1, 0, 0])])
+    return exact_case(triangles, _random_rays(19, _lattice(19, (600, 3), -8, 8, 0.5), _EXACT), rounds=False)
+
+
+@_enter("slivers, a hundred thousand times as long as wide and more")
+def _(long):
+    rng = np.random.default_rng(21)
+    a, along, across = rng.uniform(-1, 1, (3, 40, 3))
+    width = 10.0 ** -rng.uniform(5, 7, (40, 1))
+    slivers = np.stack([a, a + along, a + along / 2 + width * across], axis=1).astype(np.float32)
+    inner = (slivers * rng.dirichlet([1, 1, 1], (6, 40))[..., None]).sum(axis=2).reshape(-1, 3)
+    return exact_case(slivers, aimed(_OUTSIDE, inner))
+
+
+@_enter("triangles without area among others")
+def _(long):
+    a, along = _lattice(22, (40, 3), -3, 3), _lattice(23, (40, 3), -2, 2)
+    flat = np.stack([a, a + along, a - along], axis=1)
+    flat[::3, 1:] = flat[::3, :1]
+    triangles = np.concatenate([flat, _OCTAHEDRON])[np.random.default_rng(24).permutation(48)]
+    steps = np.random.default_rng(25).choice(_EXACT, (20, 40, 3))
+    steps[~steps.any(axis=2)] = 1
+    return exact_case(triangles, make_rays((a - 2 * steps).reshape(-1, 3), steps.reshape(-1, 3)), rounds=False)
+
+
+def _cone(apex, ring) -> np.ndarray:
+    """Return the triangles from the apex to each side of a closed polygon of (n, 3) points."""
+    return np.stack([np.broadcast_to(apex, ring.shape), ring, np.roll(ring, -1, axis=0)], axis=1).astype(np.float32)
+
+
+@_enter("many triangles that share a vertex")
+def _(long):
+    angle = np.linspace(0, 2 * np.pi, 1_000_000 if long else 20_000, endpoint=False)
+    ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    share = np.array([0.3, 0.6, 0.9, 1.0])[:, None, None]
+    on_edges = (share * np.array([0, 1, 0]) + (1 - share) * ring[:: len(ring) // 100]).reshape(-1, 3)
+    up, down = aimed([[0.01, 0.25, 0.02]], on_edges), aimed([[0.01, 0.25, 0.02]], _lattice(26, (100, 3), -1, 1, 0.5) * [1, 0, 1])
+    rays = Rays(*(np.concatenate(pair) for pair in zip(up, down, strict=True)))
+    return known_case(_cone((0, 1, 0), ring), rays, rays.direction[:, 1] > 0)
+
+
+@_enter("cone, exactly through its apex and edges")
+def _(long):
+    angle = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    ring = np.round(np.stack([500 * np.cos(angle), 500 * np.sin(angle), 0 * angle], axis=1))
+    cone = _cone((0, 0, 400), ring)
+    return exact_case(cone, aimed([[0, 0, 0], [7, -3, 10], [1, 2, 100]], np.concatenate([cone[:1, 0], cone[:, :2].mean(axis=1)])))
+
+
+@_enter("triangles with one centre")
+def _(long):
+    i, r = np.arange(1, 61)[:, None], np.random.default_rng(27).integers(-1, 2, (60, 2))
+    size = np.concatenate([i, 61 - i, i], axis=1)
+    third = np.concatenate([r * size[:, :2], size[:, 2:]], axis=1)
+    triangles = np.stack([-size, size * [1, 1, -1], third], axis=1)
+    return exact_case(triangles, aimed(_lattice(28, (6, 3), -90, 90), triangles.mean(axis=1).round()))
+
+
+@_enter("needles along a diagonal")
+def _(long):
+    i = np.arange(3000)
+    a = np.stack([i, 0 * i, 7 * i % 11], axis=1)
+    needles = np.stack([a, a + 4096, a + [4096, 4097, 4096]], axis=1)
+    return exact_case(needles, aimed([[-500, 3000, 900], [9000, 1, 2]], needles[::60].mean(axis=1)))
+
+
+@_enter("stack of sheets, the highest first")
+def _(long):
+    # Thin, so that no split pays: one leaf of all. The ray meets the middle of it.
+    n = 100_000 if long else 5_000
+    sheets = np.tile(_QUAD * np.float32(2.0**32), (n, 1, 1))
+    sheets[:, :, 2] = np.repeat(np.arange(n)[::-1], 2)[:, None]
+    one = exact_case(_QUAD, _random_rays(29, _lattice(29, (60, 3), -8, 8, 0.5) * [1, 1, 0] + [0, 0, 0.5], [0.0, -0.0]), rounds=False)
+    return one
+
+
+@_enter("ten boxes around each other, each twice as large")
+def _(long):
+    nested = np.concatenate([box(3 * (-(2.0**k),), 3 * (2.0**k,)) for k in range(-5, 5)])
+    return exact_case(nested, _random_rays(32, _lattice(32, (600, 3), -20, 20) * np.float32(2.0**-4), _EXACT), rounds=False)
+
+
+@_enter("a triangle at every power of two")
+def _(long):
+    powers = np.exp2(np.arange(-60.0, 60))[:, None, None] * np.eye(3)
+    origins = -np.exp2([[-70.0], [-1.0], [40.0], [70.0]]) * np.ones(3)
+    directions = np.array([[1, 1, 1], [1, 2, 4], [4, 1, 1], [3, 5, 7], [1, 0, 0.0]])
+    there = np.repeat(origins, 5, axis=0), np.tile(directions, (4, 1))
+    back = -there[0], -there[1]
+    return exact_case(powers, make_rays(*(np.concatenate(pair) for pair in zip(there, back, strict=True))))
+
+
+@_enter("t_min and t_max at a hit, and one ulp beside")
+def _(long):
+    triangles = np.concatenate([_QUAD + np.float32([0, 0, z]) for z in (1, 2, 2, 5)])
+    ends = np.array([x for t in (0.25, 0.5, 1, 2, 5) for x in (np.nextafter(t, 0), t, np.nextafter(t, 9))])
+    t_min, t_max = (a.reshape(-1) for a in np.meshgrid([0.0, *ends], [*ends, np.inf]))
+    directions = np.array([[0, 0, 1], [1, -1, 2], [0, 1, 4.0]])
+    rays = make_rays([0.5, 0.25, 0], np.repeat(directions, len(t_min), axis=0), np.tile(t_min, 3), np.tile(t_max, 3))
+    return exact_case(triangles, rays, rounds=False)
+
+
+@_enter("t_min above t_max")
+def _(long):
+    return known_case(_QUAD, make_rays([0.5, 0.25, -1], np.resize([[0, 0, 1], [1, -1, 2]], (200, 3)), 2.0, 0.5), False)
+
+
+@_enter("sheets one ulp apart")
+def _(long):
+    z = np.float32([1, 1e6])
+    z = np.concatenate([np.nextafter(z, np.float32(0)), z, np.nextafter(z, np.float32(1e9))])
+    sheets = np.concatenate([_QUAD * np.float32(100) + np.float32([0, 0, at]) for at in z])
+    middle = (z[[0, 2, 4]] / 2)[:, None] * np.float32([0, 0, 1])
+    origins = np.concatenate([middle, middle * 3, _OUTSIDE])
+    return exact_case(sheets, aimed(origins, sheets.reshape(-1, 3) * np.float32([0.37, 0.11, 1])))
+
+
+@_enter("boxes one ulp wide")
+def _(long):
+    ulp = 2.0**-23
+    one, far = box((1, 1, 1), 3 * (1 + ulp,)), box((2, 1, 1), 3 * (2 + 2 * ulp,))
+    points = 1 + _lattice(37, (600, 3), -1, 2, ulp)
+    direction = np.resize(_AXES, points.shape)
+    return exact_case(np.concatenate([one, far]), make_rays(points - 2 * direction * (direction != 0), direction), rounds=False)
+
+
+@_enter("a tiny ball in a huge box")
+def _(long):
+    triangles = np.concatenate([icosphere(1) * np.float32(1e-12), box(3 * (-1e12,), 3 * (1e12,))])
+    origins = np.concatenate([_INSIDE * 1e-12, _OUTSIDE, _OUTSIDE * 1e11])
+    return exact_case(triangles, aimed(origins, _corners_and_middles(icosphere(1) * np.float32(1e-12))), is_closed=True)
+
+
+@_enter("soup of mixed magnitudes")
+def _(long):
+    rng = np.random.default_rng(38)
+    values = np.float32([0, 1, -1, 1e-5, -1e-5, 1e-10, -1e-10, 1e-20, -1e-20])
+    soup = rng.choice(values, (30, 3, 3))
+    origin = rng.choice(values, (4000 if long else 800, 3))
+    inner = (soup[rng.integers(0, 30, len(origin))] * rng.dirichlet([1, 1, 1], len(origin))[..., None]).sum(axis=1)
+    return exact_case(soup, make_rays(origin, inner - origin))
+
+
+@_enter("soup of random exponents")
+def _(long):
+    rng = np.random.default_rng(39)
+    soup, origin, direction = (
+        (rng.uniform(-2, 2, shape) * np.exp2(rng.integers(-100, 100, shape))).astype(np.float32)
+        for shape in ((30, 3, 3), (400, 3), (400, 3))
+    )
+    direction[::2] = soup[np.resize(np.arange(30), 200), 0] - origin[::2]
+    return exact_case(soup, make_rays(origin, direction))

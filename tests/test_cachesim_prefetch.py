@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cachesim import source
 from cachesim.config import CacheConfig
 from cachesim.prefetch import UNLIMITED, StackReplay, parse_prefetch
 from cachesim.replay import replay
 from cachesim.source import RunSource
 from tests.cache_reference import Cache, derive
 from tests.cache_traces import make_trace, write
+from traces.format import ROW_GROUP
 
 KINDS = ("kdtree", "bvh")
 
@@ -109,12 +111,30 @@ def test_a_run_replays_as_its_model(kind, tmp_path):
         assert a.n_splits == len(accesses) - len(trace.rows)
 
 
+@pytest.mark.parametrize("prefetch", ["traced", "stack:tris*1", "next-line:tagged"])
+def test_small_batches_of_a_run_and_several_row_groups(prefetch, tmp_path, monkeypatch):
+    """Every row is replayed once, wherever batches and row groups end."""
+    trace = make_trace("kdtree", 9, n_rays=200)
+    run, config = write(trace, tmp_path / "x-kdtree"), CacheConfig(128, 2, 16)
+    [whole] = replay(run, [config], prefetch=prefetch)
+    monkeypatch.setattr(source, "BATCH", 37)
+    assert replay(run, [config], prefetch=prefetch)[0].to_dict() == whole.to_dict()
+    monkeypatch.undo()
+    repeat = ROW_GROUP // len(trace.rows) + 2
+    many = write(trace, tmp_path / "many-kdtree", repeat=repeat)
+    assert many.n_accesses > ROW_GROUP
+    [result] = replay(many, [config], prefetch=prefetch)
+    assert result.demand_accesses == whole.demand_accesses * repeat
+    if prefetch != "next-line:tagged":
+        assert result.prefetch_accesses == whole.prefetch_accesses * repeat
+
+
 def test_none_and_next_line_leave_the_traced_requests_out(tmp_path):
     trace = make_trace("bvh", 7, n_rays=50)
-    source = RunSource(write(trace, tmp_path / "x-bvh"))
+    replayed = RunSource(write(trace, tmp_path / "x-bvh"))
     wanted = [node for node, row in trace.node_kinds if row != 3]
     for text in ("none", "next-line:miss"):
-        [(nodes, labels)] = source.events(parse_prefetch(text))
+        [(nodes, labels)] = replayed.events(parse_prefetch(text))
         assert nodes.tolist() == wanted
         assert not labels.any()
 

@@ -1,0 +1,137 @@
+"""Stage 1 against Embree and against scalar C++: hits, any hits, tracing, whole renders, builds."""
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from rtrace.bvh import build_bvh
+from rtrace.kdtree import build_kdtree
+from rtrace.nodes import Tree, words
+from rtrace.render import Shooting, render
+from rtrace.scene import Scene
+from rtrace.shoot import primary_rays, shadow_rays
+from rtrace.traverse import Rays, trace, trace_recorded
+from rtrace.verify import embree_scene
+from tests.bench.measure import ratio, times
+from traces.format import open_run
+
+CHUNK = 4096
+
+
+def pieces(rays: Rays) -> list[Rays]:
+    """Cut a batch as the renderer does, so that events stay in the cache."""
+    return [Rays(*(a[i : i + CHUNK] for a in rays)) for i in range(0, len(rays.t_max), CHUNK)]
+
+
+def bench_scene(scene: Scene, size: int, repeat: int, peer: ctypes.CDLL | None) -> dict[str, float]:
+    """Return every ratio of stage 1 for one scene."""
+    embree = embree_scene(scene.triangles)
+    frame = scene.camera.frame(size, size)
+    primary = primary_rays(frame, np.arange(size * size, dtype=np.uint32), size)
+    out: dict[str, float] = {}
+    for name, build in (("kdtree", build_kdtree), ("bvh", build_bvh)):
+        tree = build(scene.triangles)
+        shadow = shadow_rays(tree, primary, trace(tree, primary), scene.light)[0]
+        for kind, rays, any_hit in (("closest", primary, False), ("any", shadow, True)):
+            cut = pieces(rays)
+            far = rays.t_max.astype(np.float32)
+
+            def ask_embree(rays=rays, far=far, any_hit=any_hit):
+                if any_hit:
+                    return embree.run(rays.origin, rays.direction, dists=far.copy(), query="OCCLUDED")
+                return embree.run(rays.origin, rays.direction)
+
+            functions = {
+                "embree": ask_embree,
+                "plain": lambda cut=cut, tree=tree, any_hit=any_hit: [trace(tree, r, any_hit=any_hit) for r in cut],
+                "traced": lambda cut=cut, tree=tree, any_hit=any_hit: [trace_recorded(tree, r, any_hit=any_hit) for r in cut],
+            }
+            if peer is not None:
+                functions["c++"] = lambda cut=cut, tree=tree, any_hit=any_hit: [call_peer(peer, tree, r, any_hit) for r in cut]
+            taken = times(functions, repeat)
+            out[f"{kind} {name} traced / embree"] = ratio(taken["embree"], taken["traced"])
+            out[f"{kind} {name} cost of tracing"] = ratio(taken["traced"], taken["plain"])
+            if peer is not None:
+                out[f"{kind} {name} / c++"] = ratio(taken["c++"], taken["traced"])
+        out |= bench_both(scene, tree, embree, primary, shadow, repeat)
+        out |= bench_render(scene, tree, size, repeat)
+    out |= bench_builds(scene, repeat)
+    return out
+
+
+def bench_both(scene: Scene, tree: Tree, embree, primary: Rays, shadow: Rays, repeat: int) -> dict[str, float]:
+    """Primary and shadow rays traced into memory by two threads, against embreex on the same rays as called from Python."""
+    far = shadow.t_max.astype(np.float32)
+
+    def ours():
+        with ThreadPoolExecutor(2) as pool:
+            list(pool.map(lambda r: trace_recorded(tree, r), pieces(primary)))
+            list(pool.map(lambda r: trace_recorded(tree, r, any_hit=True), pieces(shadow)))
+
+    def theirs():
+        embree.run(primary.origin, primary.direction)
+        embree.run(shadow.origin, shadow.direction, dists=far.copy(), query="OCCLUDED")
+
+    taken = times({"embree": theirs, "ours": ours}, repeat, time.perf_counter)
+    return {f"both {tree.kind} two threads / embree": ratio(taken["embree"], taken["ours"])}
+
+
+def bench_render(scene: Scene, tree: Tree, size: int, repeat: int) -> dict[str, float]:
+    """Whole renders on two threads: million accesses (pre-fetches included) per second of wall time."""
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "run"
+        taken = times({"render": lambda: render(scene, tree, Shooting(size, size), path, threads=2)}, repeat, time.perf_counter)
+        n = open_run(path).n_accesses
+    return {f"render {tree.kind} M accesses/s": n / sorted(taken["render"])[repeat // 2] / 1e6}
+
+
+def bench_builds(scene: Scene, repeat: int) -> dict[str, float]:
+    """CPU time of our builds over that of Embree's (all its threads)."""
+    functions = {
+        "embree": lambda: embree_scene(scene.triangles).run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)),
+        "binned": lambda: build_bvh(scene.triangles, builder="binned"),
+        "sweep": lambda: build_bvh(scene.triangles),
+        "kd": lambda: build_kdtree(scene.triangles),
+    }
+    taken = times(functions, max(1, repeat // 2), time.process_time)
+    return {f"build {name} / embree": ratio(taken[name], taken["embree"]) for name in ("binned", "sweep", "kd")}
+
+
+def build_peer(folder: Path) -> ctypes.CDLL | None:
+    """Compile the C++ peer, or return None where there is no compiler."""
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        return None
+    library = folder / "traverse.so"
+    flags = ["-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, str(Path(__file__).with_name("traverse.cpp")), "-o", str(library)], check=True)
+    peer = ctypes.CDLL(str(library))
+    for function in (peer.trace_bvh, peer.trace_kdtree):
+        function.restype = ctypes.c_int64
+    return peer
+
+
+def call_peer(peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool) -> np.ndarray:
+    """Trace a batch with the C++ peer and return its events, which must be ours."""
+    n = len(rays.t_max)
+    prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.empty(n, np.uint32)
+    events = np.empty(n * 2 * (tree.max_level + 200), np.uint32)
+    arrays: list = [*words(tree), tree.prims, tree.triangles]
+    if tree.kind == "kdtree":
+        arrays.append(tree.bounds)
+    inputs = [*arrays, tree.max_level, rays.origin, rays.direction, rays.t_min, rays.t_max, n, any_hit]
+    call = peer.trace_bvh if tree.kind == "bvh" else peer.trace_kdtree
+    written = call(*map(_argument, [*inputs, prim, t, count, events]))
+    return events[:written]
+
+
+def _argument(value):
+    if isinstance(value, np.ndarray):
+        return ctypes.c_void_p(value.ctypes.data)
+    return ctypes.c_int64(value) if isinstance(value, int) and not isinstance(value, bool) and value > 1000 else int(value)
