@@ -35,7 +35,17 @@ class RawMesh(NamedTuple):
 
 
 #: What a malformed file makes a reader raise; anything else is a mistake in this program and shows as such.
-_BAD_FILE = (ArithmeticError, AssertionError, AttributeError, MemoryError, NotImplementedError, OSError, TypeError, ValueError)
+_BAD_FILE = (
+    struct.error,
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    MemoryError,
+    NotImplementedError,
+    OSError,
+    TypeError,
+    ValueError,
+)
 
 
 def read_mesh(path: Path) -> RawMesh:
