@@ -29,6 +29,7 @@ lint: $(INSTALLED) ## Check style, types and the import rules
 reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and print Table I beside the paper's
 	@$(BIN)/nptrace render bunny conference sibenik sponza --out $(RUNS) --threads $(THREADS)
 	@$(BIN)/npcache table1 --traces $(RUNS)
+	@echo "A picture of every scene: $(RUNS)/*/image.png"
 
 docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }

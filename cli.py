@@ -174,17 +174,39 @@ def parse_kd(text: str) -> dict[str, Any]:
 @click.option("--size", default="128x128", show_default=True, metavar="WxH", help="Pixels of the picture.")
 @click.option("--camera", metavar="TEXT", help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; else the scene's own or a fitted one.")
 @click.option("--light", metavar="X,Y,Z", help="Place of the point light; else the scene's own or a fitted one.")
-@click.option("--order", type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]), default="scanline",
-              show_default=True, help="Order in which the pixels are shot.")
-@click.option("--batch", type=click.IntRange(0), default=1, show_default=True,
-              help="Primary rays shot before their shadow rays; 0: all of them.")
+@click.option(
+    "--order",
+    type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]),
+    default="scanline",
+    show_default=True,
+    help="Order in which the pixels are shot.",
+)
+@click.option(
+    "--batch",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="Primary rays shot before their shadow rays; 0: all of them.",
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the random order.")
-@click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="",
-              help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level; `coarse` is max_level=16.")
-@click.option("--bvh", "bvh_builder", type=click.Choice(["sweep", "binned"]), default="sweep", show_default=True,
-              help="BVH builder: exact SAH over all centroids, or 16 bins.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default="traces", show_default=True,
-              help="Folder for the runs.")
+@click.option(
+    "--kd",
+    "kd_text",
+    metavar="NAME=VALUE,...",
+    default="",
+    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level; `coarse` is max_level=16.",
+)
+@click.option(
+    "--bvh",
+    "bvh_builder",
+    type=click.Choice(["sweep", "binned"]),
+    default="sweep",
+    show_default=True,
+    help="BVH builder: exact SAH over all centroids, or 16 bins.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), default="traces", show_default=True, help="Folder for the runs."
+)
 @threads_option()
 @scene_options
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
@@ -219,12 +241,12 @@ def render(
         return
     from cachesim.text import Table, number, percent, print_tables
 
-    header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Pre-fetches", "MB"]
+    header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Pre-fetches"]
     rows = [
         [
             run.path, number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),
             number(run.n_shadow_rays), percent(run.shadowed_share, 1), number(run.n_accesses), number(run.accesses_per_ray, 1),
-            number(run.n_prefetches), number(run.n_bytes / 1e6, 1),
+            number(run.n_prefetches),
         ]
         for run in runs
     ]  # fmt: skip
@@ -293,8 +315,13 @@ def check(names: tuple[str, ...], size: str, n_random: int, seed: int, strict: b
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--to", "form", type=click.Choice(["din"]), required=True, help="DineroIV's input format.")
 @click.option("--binary", is_flag=True, help="DineroIV's binary records instead of text.")
-@click.option("--prefetch", type=click.Choice(["b", "read", "misc", "omit"]), default="b", show_default=True,
-              help="Label of the pre-fetch requests: b, as reads (0), as misc (3), or leave them out.")
+@click.option(
+    "--prefetch",
+    type=click.Choice(["b", "read", "misc", "omit"]),
+    default="b",
+    show_default=True,
+    help="Label of the pre-fetch requests: b, as reads (0), as misc (3), or leave them out.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="File; RUN.din by default.")
 def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
     """Write a run as a trace that DineroIV itself replays.

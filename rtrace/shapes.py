@@ -3,6 +3,8 @@
 Plain arithmetic on a decimal grid of 1e-5 (``solid``), so that the same call gives the same bits on every machine.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 
@@ -40,7 +42,14 @@ def box(lower, upper) -> np.ndarray:
     dx, dy, dz = (x1 - x0, 0, 0), (0, y1 - y0, 0), (0, 0, z1 - z0)
     low, high = (x0, y0, z0), (x1, y1, z1)
     back = [tuple(-v for v in d) for d in (dx, dy, dz)]
-    sides = [(low, dx, dz), (low, dy, dx), (low, dz, dy), (high, back[2], back[0]), (high, back[0], back[1]), (high, back[1], back[2])]
+    sides = [
+        (low, dx, dz),
+        (low, dy, dx),
+        (low, dz, dy),
+        (high, back[2], back[0]),
+        (high, back[0], back[1]),
+        (high, back[1], back[2]),
+    ]
     return np.concatenate([rectangle(*side) for side in sides])
 
 
@@ -100,6 +109,38 @@ def arch(span: float, springing: float, top: float, depth: float, n: int, m: int
     return np.concatenate([between(inner, outer, m), between(inner + back, outer + back, m), between(inner, inner + back, 2)])
 
 
+def pierced(length: float, height: float, depth: float, openings, n: int = 0) -> np.ndarray:
+    """Return a wall z = 0, x from 0 to length, with niches of ``depth`` behind it, each closed by a pane, none shared.
+
+    ``openings`` are (x0, x1, y0, y1) from left to right. With n > 0 each has a round arch of n segments on top of y1.
+    """
+    parts, left = [], 0.0
+    for x0, x1, y0, y1 in openings:
+        wide, top, back = x1 - x0, y1 + (x1 - x0) / 2 if n else y1, (0, 0, -depth)
+        parts += [rectangle((left, 0, 0), (x0 - left, 0, 0), (0, height, 0)), rectangle((x0, 0, 0), (wide, 0, 0), (0, y0, 0))]
+        parts += [rectangle((x, y0, 0), (0, y1 - y0, 0), back) for x in (x0, x1)]
+        parts += [rectangle((x0, y0, 0), (wide, 0, 0), back), rectangle((x0, y0, -depth / 2), (wide, 0, 0), (0, top - y0, 0))]
+        if n:
+            parts += [moved(arch(wide, y1, height, depth, n), (x0, 0, -depth))]
+        else:
+            parts += [rectangle((x0, y1, 0), (wide, 0, 0), (0, height - y1, 0)), rectangle((x0, y1, 0), (wide, 0, 0), back)]
+        left = x1
+    return np.concatenate([*parts, rectangle((left, 0, 0), (length - left, 0, 0), (0, height, 0))])
+
+
+def vault(lower, upper, n: int) -> np.ndarray:
+    """Return a groin vault, two crossing half cylinders, in a box: 2 n^2 triangles, open on all four sides."""
+    curve, (x0, y0, z0), (x1, y1, z1) = circle(n, 0.5, -0.5), lower, upper
+    x, z = np.meshgrid(x0 + (x1 - x0) * (1 + curve[:, 0]) / 2, z0 + (z1 - z0) * (1 + curve[:, 0]) / 2, indexing="ij")
+    return patch(np.stack([x, y0 + (y1 - y0) * np.maximum(curve[:, None, 1], curve[None, :, 1]), z], axis=2))
+
+
+def bow(first, last, rise: float, n: int) -> np.ndarray:
+    """Return (n + 1, 3) points of half an ellipse, ``rise`` high, from one point to another."""
+    curve, first = circle(n, 0.5, -0.5), np.array(first, np.float64)
+    return first + (1 + curve[:, :1]) / 2 * (np.array(last) - first) + np.array([0.0, rise, 0.0]) * curve[:, 1:]
+
+
 def moved(triangles: np.ndarray, offset=(0.0, 0.0, 0.0), quarter_turns: int = 0, mirror: int | None = None) -> np.ndarray:
     """Return triangles turned about the y axis by quarter turns, mirrored at 0 on one axis, then moved."""
     for _ in range(quarter_turns % 4):
@@ -116,26 +157,35 @@ _ICO_FACES = [(0, i, i % 5 + 1) for i in range(1, 6)] + [(i, i % 5 + 1, i + 5) f
 _ICO_FACES += [(i % 5 + 1, i + 5, i % 5 + 6) for i in range(1, 6)] + [(i + 5, i % 5 + 6, 11) for i in range(1, 6)]
 
 
-def geodesic(frequency: int) -> np.ndarray:
+def geodesic(frequency: int, radius: Callable[[np.ndarray], np.ndarray] | None = None) -> np.ndarray:
     """Return (20 frequency^2, 3, 3) float64 triangles of a watertight unit ball, front sides out.
 
-    Equal corners are equal in every bit, and stay so under any function of the corner alone.
+    ``radius`` gives the distance from the middle for (n, 3) unit vectors, where it is not to be 1. Equal corners are equal in
+    every bit, as they are computed from the same numbers in the same order on both sides of an edge.
     """
     low, ring = 1 / np.sqrt(5.0), 2 / np.sqrt(5.0)
     upper, lower = circle(5)[:5], circle(5, 0.1)[:5]
-    points = [(0, 1, 0), *((ring * x, low, ring * z) for x, z in upper), *((ring * x, -low, ring * z) for x, z in lower), (0, -1, 0)]
-    corners = np.array(points)[np.sort(np.array(_ICO_FACES), axis=1)]  # (20, 3, 3)
-    i, j = np.meshgrid(np.arange(frequency), np.arange(frequency), indexing="ij")
-    up = np.stack([np.stack([i, j], -1), np.stack([i + 1, j], -1), np.stack([i, j + 1], -1)], axis=2)[i + j < frequency]
-    down = np.stack([np.stack([i + 1, j], -1), np.stack([i + 1, j + 1], -1), np.stack([i, j + 1], -1)], axis=2)[i + j < frequency - 1]
-    cells = np.concatenate([up, down])  # (frequency^2, 3, 2)
-    i, j = cells[None, ..., 0, None], cells[None, ..., 1, None]
-    a, b, c = (corners[:, k, None, None, :] for k in range(3))
-    flat = ((frequency - i - j) * a + i * b + j * c).reshape(-1, 3, 3)
+    points = [
+        (0, 1, 0),
+        *((ring * x, low, ring * z) for x, z in upper),
+        *((ring * x, -low, ring * z) for x, z in lower),
+        (0, -1, 0),
+    ]
+    a, b, c = np.array(points)[np.sort(np.array(_ICO_FACES), axis=1)].transpose(1, 0, 2)  # (20, 3) each
+    i, j = np.meshgrid(np.arange(frequency + 1), np.arange(frequency + 1), indexing="ij")
+    i, j = i[i + j <= frequency][:, None], j[i + j <= frequency][:, None]  # the grid of one face
+    flat = (frequency - i - j) * a[:, None] + i * b[:, None] + j * c[:, None]
     ball = flat / np.sqrt((flat * flat).sum(axis=2, keepdims=True))
-    inward = np.einsum("ij,ij->i", np.cross(ball[:, 1] - ball[:, 0], ball[:, 2] - ball[:, 0]), ball[:, 0]) < 0
-    ball[inward] = ball[inward, ::-1]
-    return ball
+    if radius is not None:
+        ball *= radius(ball.reshape(-1, 3)).reshape(20, -1, 1)
+    number = np.full((frequency + 2, frequency + 2), -1)
+    number[i[:, 0], j[:, 0]] = np.arange(len(i))
+    here, right, down, over = number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]
+    cells = np.concatenate([np.stack([here, right, down], -1)[right >= 0], np.stack([right, over, down], -1)[over >= 0]])
+    inward = (np.cross(b - a, c - a) * a).sum(axis=1) < 0
+    faces = ball[:, cells]
+    faces[inward] = faces[inward][:, :, ::-1]
+    return faces.reshape(-1, 3, 3)
 
 
 def icosphere(subdivisions: int) -> np.ndarray:
@@ -150,14 +200,14 @@ def height_field(n: int) -> np.ndarray:
 
 
 def boxes(n: int = 3) -> np.ndarray:
-    """Return (12 n^2 + 12, 3, 3) float32: n x n boxes on a plate, whole numbers, many faces in the same planes, some touching."""
+    """Return (12 n^2 + 12, 3, 3) float32: n x n boxes on a plate, whole numbers, many faces in one plane, some touching."""
     sizes = [(i, k, 1 + (i + k) % 2, 1 + (3 * i + 5 * k) % 4) for i in range(n) for k in range(n)]
     parts = [box((2 * i, 0, 2 * k), (2 * i + w, h, 2 * k + w)) for i, k, w, h in sizes]
     return np.concatenate([box((-1, -1, -1), (2 * n + 1, 0, 2 * n + 1)), *parts]).astype(np.float32)
 
 
 def soup(n: int, seed: int) -> np.ndarray:
-    """Return (n, 3, 3) float32: triangles with centres anywhere in the unit cube, edges from 0.6 to 0.005 long, the same for the same seed."""
+    """Return (n, 3, 3) float32, the same for the same seed: centres anywhere in a unit cube, edges from 0.6 to 0.005 long."""
     bits = np.random.PCG64(seed).random_raw(12 * n)  # unlike a Generator's methods, never to change
     numbers = (bits >> np.uint64(11)).astype(np.float64).reshape(n, 12) * 2.0**-53
     size = 0.3 * 4.0 ** -np.floor(4 * numbers[:, :1])

@@ -18,7 +18,6 @@ from tests.mutation_list import MUTATIONS, Mutation
 ROOT = Path(__file__).resolve().parent.parent
 
 
-
 def apply(mutation: Mutation, folder: Path) -> None:
     """Change the copy in ``folder``; a piece of source that is no longer there is an error of the list."""
     path = folder / mutation.file

@@ -28,7 +28,9 @@ class Ratio(NamedTuple):
         return self.median >= self.goal if self.at_least else self.median <= self.goal
 
 
-def times(functions: Mapping[str, Callable[[], object]], repeat: int, clock: Callable[[], float] = time.thread_time) -> dict[str, list[float]]:
+def times(
+    functions: Mapping[str, Callable[[], object]], repeat: int, clock: Callable[[], float] = time.thread_time
+) -> dict[str, list[float]]:
     """Call every function once to warm it up, then ``repeat`` times in turn; return the seconds of each call."""
     for function in functions.values():
         function()

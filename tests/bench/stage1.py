@@ -86,7 +86,9 @@ def bench_render(scene: Scene, tree: Tree, size: int, repeat: int) -> dict[str, 
     """Whole renders on two threads: million accesses (pre-fetches included) per second of wall time."""
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "run"
-        taken = times({"render": lambda: render(scene, tree, Shooting(size, size), path, threads=2)}, repeat, time.perf_counter)
+        taken = times(
+            {"render": lambda: render(scene, tree, Shooting(size, size), path, threads=2)}, repeat, time.perf_counter
+        )
         n = open_run(path).n_accesses
     return {f"render {tree.kind} M accesses/s": n / sorted(taken["render"])[repeat // 2] / 1e6}
 
