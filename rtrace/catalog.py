@@ -279,7 +279,7 @@ def _present(entry: Entry, scene: Scene, where: str, notify: Notify) -> Scene:
     notes = scene.notes
     if scene.sha256 != entry.sha256:
         notes += (
-            f"{where} is not the {entry.title} of the catalogue ({len(scene.triangles):,} triangles for {entry.n_triangles:,}, "
+            f"{where} is not the known {entry.title} ({len(scene.triangles):,} triangles for {entry.n_triangles:,}, "
             "or other coordinates); results are not comparable with those of others",
         )
     scene = scene._replace(name=entry.name, source=entry.name, notes=notes)

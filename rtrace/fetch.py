@@ -1,7 +1,7 @@
 """Benchmark scenes over the network: an archive at its authors' site -> checked triangles in the user's cache.
 
 An archive is believed if its sha256 is one that was recorded, or if the mesh in it has exactly the triangles by which the
-scene is known. Nothing half-done stays: the archive lives in a temporary folder, the cached file is renamed into place when whole.
+scene is known. Nothing half-done stays: the archive lives in a temporary folder, the cached file is renamed into place.
 """
 
 import os

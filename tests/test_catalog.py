@@ -138,7 +138,7 @@ def test_a_known_archive_is_believed_whatever_is_in_it_and_an_unknown_one_is_not
     monkeypatch.setitem(CATALOG, "sponza", known)
     scene, _ = find(tmp_path, server)
     assert not scene.stand_in
-    assert "is not the Sponza atrium" in scene.notes[-1]
+    assert "is not the known Sponza atrium" in scene.notes[-1]
 
 
 EVIL = "../../../evil.obj"
