@@ -8,6 +8,7 @@ import os
 import tarfile
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -25,6 +26,9 @@ Notify = Callable[[str], object]
 
 TIMEOUT = 10  # seconds without an answer; a study must not hang because a server does
 MAX_MEMBER_BYTES = 1 << 30  # the largest mesh is 27 MB; a longer member is not what was asked for
+
+#: What opening an archive raises: cut off, damaged, encrypted, of an unknown method.
+_BAD_ARCHIVE = (OSError, EOFError, RuntimeError, NotImplementedError, tarfile.TarError, zipfile.BadZipFile, zlib.error)
 
 # Some servers refuse Python's default agent.
 _HEADERS = {"User-Agent": "nptrace (scene downloader; https tools for node-cache studies)"}
@@ -73,7 +77,7 @@ def download(entry: "Entry", folder: Path, notify: Notify, base_url: str | None 
             sha256 = pooch.file_hash(str(archive))
             mesh = _extract(archive, entry.member, Path(name))
             scene = load_mesh(mesh)._replace(name=entry.name, source=entry.name)
-    except (requests.RequestException, OSError, EOFError, ValueError, tarfile.TarError, zipfile.BadZipFile) as error:
+    except (requests.RequestException, ValueError, *_BAD_ARCHIVE) as error:
         reason = str(error).split("\n")[0] or type(error).__name__
         notify(f"{entry.name} could not be downloaded: {reason[:200]}")
         return None
@@ -90,7 +94,7 @@ def load_archive(archive: Path, member: str, *, strict: bool = False) -> Scene:
     with tempfile.TemporaryDirectory() as name:
         try:
             mesh = _extract(archive, member, Path(name))
-        except (OSError, EOFError, tarfile.TarError, zipfile.BadZipFile) as error:
+        except _BAD_ARCHIVE as error:
             raise SceneError(f"{archive}: cannot be unpacked ({error}); put the mesh itself beside it") from error
         return load_mesh(mesh, strict=strict)
 

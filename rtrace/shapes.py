@@ -109,38 +109,6 @@ def arch(span: float, springing: float, top: float, depth: float, n: int, m: int
     return np.concatenate([between(inner, outer, m), between(inner + back, outer + back, m), between(inner, inner + back, 2)])
 
 
-def pierced(length: float, height: float, depth: float, openings, n: int = 0) -> np.ndarray:
-    """Return a wall z = 0, x from 0 to length, with niches of ``depth`` behind it, each closed by a pane, none shared.
-
-    ``openings`` are (x0, x1, y0, y1) from left to right. With n > 0 each has a round arch of n segments on top of y1.
-    """
-    parts, left = [], 0.0
-    for x0, x1, y0, y1 in openings:
-        wide, top, back = x1 - x0, y1 + (x1 - x0) / 2 if n else y1, (0, 0, -depth)
-        parts += [rectangle((left, 0, 0), (x0 - left, 0, 0), (0, height, 0)), rectangle((x0, 0, 0), (wide, 0, 0), (0, y0, 0))]
-        parts += [rectangle((x, y0, 0), (0, y1 - y0, 0), back) for x in (x0, x1)]
-        parts += [rectangle((x0, y0, 0), (wide, 0, 0), back), rectangle((x0, y0, -depth / 2), (wide, 0, 0), (0, top - y0, 0))]
-        if n:
-            parts += [moved(arch(wide, y1, height, depth, n), (x0, 0, -depth))]
-        else:
-            parts += [rectangle((x0, y1, 0), (wide, 0, 0), (0, height - y1, 0)), rectangle((x0, y1, 0), (wide, 0, 0), back)]
-        left = x1
-    return np.concatenate([*parts, rectangle((left, 0, 0), (length - left, 0, 0), (0, height, 0))])
-
-
-def vault(lower, upper, n: int) -> np.ndarray:
-    """Return a groin vault, two crossing half cylinders, in a box: 2 n^2 triangles, open on all four sides."""
-    curve, (x0, y0, z0), (x1, y1, z1) = circle(n, 0.5, -0.5), lower, upper
-    x, z = np.meshgrid(x0 + (x1 - x0) * (1 + curve[:, 0]) / 2, z0 + (z1 - z0) * (1 + curve[:, 0]) / 2, indexing="ij")
-    return patch(np.stack([x, y0 + (y1 - y0) * np.maximum(curve[:, None, 1], curve[None, :, 1]), z], axis=2))
-
-
-def bow(first, last, rise: float, n: int) -> np.ndarray:
-    """Return (n + 1, 3) points of half an ellipse, ``rise`` high, from one point to another."""
-    curve, first = circle(n, 0.5, -0.5), np.array(first, np.float64)
-    return first + (1 + curve[:, :1]) / 2 * (np.array(last) - first) + np.array([0.0, rise, 0.0]) * curve[:, 1:]
-
-
 def moved(triangles: np.ndarray, offset=(0.0, 0.0, 0.0), quarter_turns: int = 0, mirror: int | None = None) -> np.ndarray:
     """Return triangles turned about the y axis by quarter turns, mirrored at 0 on one axis, then moved."""
     for _ in range(quarter_turns % 4):

@@ -209,6 +209,12 @@ def test_the_users_folder_comes_first(tmp_path, ball, monkeypatch):
     assert find(tmp_path)[0].stand_in
     (folder / "sponza.zip").write_bytes(zipped({"sponza.obj": obj(BALL)}))
     np.testing.assert_array_equal(find(tmp_path)[0].triangles, BALL)
+    for at in (40, 60, 200):  # a damaged archive, wherever the damage is, is said or does no harm
+        broken = bytearray(zipped({"sponza.obj": obj(BALL)}))
+        broken[at] ^= 0xFF
+        (folder / "sponza.zip").write_bytes(broken)
+        with pytest.raises(SceneError, match=r"sponza\.zip|mesh\.obj"):
+            find(tmp_path)
     (folder / "sponza.obj").write_bytes(obj(soup(50, seed=3) * np.float32(100)))
     scene, _ = find(tmp_path)
     assert len(scene.triangles) == 50

@@ -25,7 +25,7 @@ def test_the_query_of_the_readme_runs(tmp_path):
     run(cli.nptrace, "render", "court", "--accel", "bvh", "--size", "24x24", "--out", tmp_path)
     rows = duckdb.sql(query.replace("traces/sponza-bvh", str(tmp_path / "court-bvh"))).fetchall()
     levels, reads, nodes = zip(*rows, strict=True)
-    n_rays = duckdb.sql(f"SELECT count(*) FROM '{tmp_path}/court-bvh/rays.parquet'").fetchone()[0]
+    n_rays = duckdb.sql(f"SELECT count(*) FROM '{tmp_path}/court-bvh/rays.parquet'").fetchall()[0][0]
     assert list(levels) == list(range(len(levels)))
     assert (reads[0], nodes[0]) == (n_rays, 1)
 
