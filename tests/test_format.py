@@ -124,6 +124,23 @@ def test_a_run_replaces_a_run_but_nothing_else(tmp_path):
     assert (other / "love.txt").read_text() == "dear"
 
 
+@pytest.mark.parametrize("can_exchange", [True, False])
+def test_runs_are_replaced_with_and_without_an_exchange_in_one_step(tmp_path, monkeypatch, can_exchange):
+    exchanged = []
+
+    def exchange(a, b):
+        exchanged.append(can_exchange and real(a, b))
+        return exchanged[-1]
+
+    real = fmt._exchange
+    monkeypatch.setattr(fmt, "_exchange", exchange)
+    for seed in (1, 2, 3):
+        write(tmp_path / "run", seed=seed)
+        assert open_run(tmp_path / "run").metadata["seed"] == seed
+    assert os.listdir(tmp_path) == ["run"]
+    assert exchanged == [can_exchange] * 2
+
+
 def test_what_a_killed_writer_left_is_swept(tmp_path):
     code = (
         "import os, signal; from pathlib import Path; from traces.format import *\n"

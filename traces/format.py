@@ -11,6 +11,8 @@ Node *numbers* are stored, not addresses: the address is chosen at replay. The f
 metadata under the key ``nptrace``, without a time stamp, so the same command gives the same bytes.
 """
 
+import ctypes
+import errno
 import json
 import os
 import secrets
@@ -200,23 +202,33 @@ class RunWriter:
         text = json.dumps(metadata, sort_keys=True).encode()
         for table in self._tables.values():
             table.close(text)
-        for _ in range(100):  # another render may put its run there between the two renames
+        for _ in range(100):  # another render may put its run there, or take it away, between any two of these calls
             try:
-                if self.path.exists():
-                    old = self._temp.with_suffix(".old")
-                    self.path.rename(old)
-                    shutil.rmtree(old, ignore_errors=True)
-                self._temp.rename(self.path)
-                return
-            except (FileNotFoundError, FileExistsError, OSError) as e:
-                if not self._temp.exists() or not self.path.exists():
-                    raise e
+                if not self.path.exists():
+                    self._temp.rename(self.path)
+                    return
+                if _exchange(self._temp, self.path):
+                    shutil.rmtree(self._temp, ignore_errors=True)  # now the earlier run
+                    return
+                old = self._temp.with_suffix(".old")
+                self.path.rename(old)
+                shutil.rmtree(old, ignore_errors=True)
+            except OSError as e:
+                if e.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOENT) or not self._temp.exists():
+                    raise
         raise RunError(f"cannot replace {self.path}: other programs keep writing it; choose another --out")
 
     def _discard(self) -> None:
         for table in self._tables.values():
             table.abandon()
         shutil.rmtree(self._temp, ignore_errors=True)
+
+
+def _exchange(a: Path, b: Path) -> bool:
+    """Swap two directories in one step, so that there is a run at every moment; return False where that cannot be done."""
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name == "posix" else None
+    at_cwd, exchange = -100, 2
+    return renameat2 is not None and renameat2(at_cwd, os.fsencode(a), at_cwd, os.fsencode(b), exchange) == 0
 
 
 def _looks_like_run(path: Path) -> bool:
