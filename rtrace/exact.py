@@ -39,7 +39,7 @@ class ExactHits(NamedTuple):
         opposite sides, or through a vertex that they surround, and their other edges are farther away than ``REACH``.
     touched : dict of int to (float, float)
         Those not met, but by less than ``REACH``, the ones seen edge-on included: such a test may take them for met. The
-        least and the largest t of their vertices, measured along the direction's largest component.
+        least and the largest t of their vertices, measured along the direction's largest component, and REACH beyond.
     """
 
     t: dict[int, Fraction]
@@ -131,7 +131,8 @@ def _hits_of_one(moved: np.ndarray, along: np.ndarray, near: np.ndarray, unit: F
     touched = {}
     for i in np.flatnonzero(near.any(axis=1) & ~is_met).tolist():
         ts = [float(Fraction(int(x), int(along[z])) * unit) for x in moved[i, :, z]]
-        touched[i] = min(ts), max(ts)
+        margin = REACH * max(map(abs, ts))
+        touched[i] = min(ts) - margin, max(ts) + margin
     return ExactHits(t, firm, touched)
 
 
@@ -194,7 +195,7 @@ def exact_answer(triangles: np.ndarray, rays: Rays, *, rounds: bool = True, is_c
         near = {p: met[p] for p, (t, s) in (sure | maybe).items() if t - s - slack <= first}
         if rounds:
             touched = {p: ends for p, ends in found.touched.items() if low <= min(ends[1], high) and ends[0] <= high}
-            near |= {p: ends for p, ends in touched.items() if ends[0] <= first}
+            near |= {p: ends for p, ends in touched.items() if ends[0] - slack <= first}
             met |= touched
         elif near:
             near = {min(near): near[min(near)]}

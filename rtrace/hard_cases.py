@@ -248,7 +248,7 @@ def _(long):
 @_enter("large ball from inside, at vertices and edges")
 def _(long):
     ball = icosphere(6 if long else 3)
-    return known_case(ball, aimed(_INSIDE[1:2], _corners_and_middles(ball)), True)
+    return known_case(ball, aimed(_INSIDE[1:2], _corners_and_middles(ball)[:: 16 if long else 1]), True)
 
 
 def _scaled_ball(scale, long):
@@ -317,13 +317,13 @@ def _(long):
 
 @_enter("boxes, axis-parallel rays in face planes")
 def _(long):
-    origin = _lattice(5, (6000 if long else 800, 3), -4, 16, 0.5)
+    origin = _lattice(5, (6000 if long else 600, 3), -4, 16, 0.5)
     return exact_case(boxes(3), make_rays(origin, np.resize(_AXES, origin.shape)), rounds=False)
 
 
 @_enter("boxes, rays in face planes and on edges")
 def _(long):
-    origin = _lattice(6, (6000 if long else 800, 3), -4, 16, 0.5)
+    origin = _lattice(6, (6000 if long else 600, 3), -4, 16, 0.5)
     return exact_case(boxes(3), _random_rays(6, origin, _EXACT), rounds=False)
 
 
@@ -338,7 +338,7 @@ def _(long):
 
 @_enter("height field, rays on grid lines")
 def _(long):
-    origin = _lattice(7, (6000 if long else 800, 3), 0, 8)
+    origin = _lattice(7, (6000 if long else 600, 3), 0, 8)
     direction = np.concatenate([_AXES, [[0, -1, 2], [1, -1, -0.0], [-4, 1, 2], [1, 2, 1], [-0.0, 1, 1], [1, 0, 1]]])
     return exact_case(height_field(8), make_rays(origin, np.resize(direction, origin.shape)), rounds=False)
 
@@ -353,20 +353,20 @@ def _(long):
 @_enter("lattice soup, flat ones and equals among them")
 def _(long):
     soup = _lattice(9, (80, 3, 3), -2, 2)
-    return exact_case(soup, _random_rays(10, _lattice(10, (9000 if long else 1000, 3), -6, 6, 0.5), _EXACT), rounds=False)
+    return exact_case(soup, _random_rays(10, _lattice(10, (9000 if long else 700, 3), -6, 6, 0.5), _EXACT), rounds=False)
 
 
 @_enter("lattice soup, slopes that round")
 def _(long):
     soup = _lattice(9, (80, 3, 3), -2, 2)
-    return exact_case(soup, _random_rays(11, _lattice(11, (9000 if long else 1000, 3), -6, 6, 0.5), _ROUNDING))
+    return exact_case(soup, _random_rays(11, _lattice(11, (9000 if long else 700, 3), -6, 6, 0.5), _ROUNDING))
 
 
 @_enter("lattice soup, zeros of both signs")
 def _(long):
     soup = _lattice(12, (80, 3, 3), -1, 1)
     soup[np.random.default_rng(12).random(soup.shape) < 0.5] *= np.float32(-1)
-    origin = _lattice(13, (800, 3), -2, 2, 0.5)
+    origin = _lattice(13, (400, 3), -2, 2, 0.5)
     origin[::2] = -origin[::2]
     return exact_case(soup, _random_rays(13, origin, _EXACT), rounds=False)
 
@@ -379,7 +379,7 @@ def _(long):
 
 @_enter("origins on faces, edges and vertices")
 def _(long):
-    points = _corners_and_middles(boxes(2))
+    points = _corners_and_middles(boxes(2))[:: 1 if long else 2]
     slanted = list(itertools.product((1, -1), (2, -1), (4, -2, 0)))
     direction = np.concatenate([_AXES[:: 1 if long else 4], slanted])
     origin = np.repeat(points, len(direction), axis=0)
@@ -474,7 +474,7 @@ def _(long):
     size = np.concatenate([i, 61 - i, i], axis=1)
     third = np.concatenate([r * size[:, :2], size[:, 2:]], axis=1)
     triangles = np.stack([-size, size * [1, 1, -1], third], axis=1)
-    return exact_case(triangles, aimed(_lattice(28, (6, 3), -90, 90), triangles.mean(axis=1).round()))
+    return exact_case(triangles, aimed(_lattice(28, (6 if long else 3, 3), -90, 90), triangles.mean(axis=1).round()))
 
 
 @_enter("needles along a diagonal")
@@ -482,7 +482,7 @@ def _(long):
     i = np.arange(3000)
     a = np.stack([i, 0 * i, 7 * i % 11], axis=1)
     needles = np.stack([a, a + 4096, a + np.array([4096, 4097, 4096])], axis=1)
-    return exact_case(needles, aimed([[-500, 3000, 900], [9000, 1, 2]], needles[::60].mean(axis=1)))
+    return exact_case(needles, aimed([[-500, 3000, 900], [9000, 1, 2]], needles[:: 60 if long else 150].mean(axis=1)))
 
 
 @_enter("stack of sheets, the highest first")
@@ -601,16 +601,15 @@ def _room_case(light, is_dark, scale, long):
 
 def _ball_case(scale, away, long):
     """A ball, lit and seen from outside: a triangle is lit if it faces the light, whatever lies beside it."""
-    shape = icosphere(3 if long else 2)
+    eye, light = (np.array([3.0, 1.0, 2.0]) + away) * scale, (np.array([-1.0, 4.0, 2.0]) + away) * scale
+    ball = ((icosphere(3 if long else 2) + away) * scale).astype(np.float32)
+    shape = ball.astype(np.float64)
     middle, normal = shape.mean(axis=1), np.cross(shape[:, 1] - shape[:, 0], shape[:, 2] - shape[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    eye, light = np.array([3.0, 1.0, 2.0]), np.array([-1.0, 4.0, 2.0])
-    seen = ((eye - middle) * normal).sum(axis=1) > 0.05
-    cosine = ((light - middle) * normal).sum(axis=1)
+    seen = ((eye - middle) * normal).sum(axis=1) > 0.1 * scale
+    cosine = ((light - middle) * normal).sum(axis=1)[seen] / scale
     targets = np.concatenate([middle[seen], (2 * middle + shape[:, 0])[seen] / 3])
-    cosine = np.tile(cosine[seen], 2)
-    eye, light, targets = ((a + away) * scale for a in (eye, light, targets))
-    return _shadow_case((shape + away) * scale, eye, targets, light, cosine <= 0, np.abs(cosine) < 0.02)
+    return _shadow_case(ball, eye, targets, light, np.tile(cosine <= 0, 2), np.tile(np.abs(cosine) < 0.02, 2))
 
 
 def _floor_case(body, light, scale, is_dark, long):

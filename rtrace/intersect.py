@@ -6,11 +6,12 @@ scenes of any scale and rays of any length need no normalisation.
 
 import numpy as np
 
-from jit import kernel
+from jit import inlined, kernel
 
-#: How far the culling tests are widened, relative to the distance: boxes and cells whose entry lies beyond the best hit
-#: by less are still visited. Far above the rounding of the tests themselves (2^-50), so that equal hits, found through
-#: different boxes, are all compared; far below the resolution of float32 coordinates (2^-24), so it costs no visits.
+#: How far the culling tests are widened, relative to the distance and, for hits near the origin, to the ray's ``slack``: boxes
+#: and cells whose entry lies beyond the best hit by less are still visited. Far above the rounding of the tests themselves
+#: (2^-50), so that hits that differ by rounding, found through different boxes, are all compared; far below the resolution
+#: of float32 coordinates (2^-24), so it costs no visits.
 PAD = 2.0**-40
 WIDER = 1.0 + PAD
 NARROWER = 1.0 - PAD
@@ -34,6 +35,19 @@ def shear(dx, dy, dz):
     if ay >= az:
         return (Z, X, Y), (dz / dy, dx / dy, 1.0 / dy)
     return (X, Y, Z), (dx / dz, dy / dz, 1.0 / dz)
+
+
+@inlined
+def slack(bounds, ox, oy, oz, dx, dy, dz):
+    """Return the absolute margin of a ray's culling tests, in t: PAD x its largest distance to the box / its direction.
+
+    The t of a triangle is rounded relative to the distance of its corners, not to t: a relative margin alone vanishes where t
+    does. ``bounds[0:6]`` is the box of all triangles.
+    """
+    x = max(abs(bounds[X] - ox), abs(bounds[SECOND] - ox))
+    y = max(abs(bounds[Y] - oy), abs(bounds[SECOND + Y] - oy))
+    z = max(abs(bounds[Z] - oz), abs(bounds[SECOND + Z] - oz))
+    return PAD * max(x, y, z) / max(abs(dx), abs(dy), abs(dz))
 
 
 @kernel

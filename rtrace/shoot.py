@@ -4,6 +4,7 @@ A chunk is a run of consecutive pixels in shooting order. Chunks do not depend o
 gives the same rays, accesses and picture.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -187,6 +188,8 @@ def shadow_rays(
     facing, normal = np.empty(n), np.empty((n, 3))
     eye = primary.origin[0].astype(np.float64) if n else np.zeros(3)
     at = np.array(light, np.float64)
+    # A light that float32 cannot hold is brought nearer by a power of two: seen from any scene, it stays where it was.
+    at *= 2.0 ** min(0, 126 - math.frexp(float(np.abs(at).max()))[1])
     m = _shadow_rays(
         tree.triangles, eye, primary.direction, hits.prim, hits.t, at, origin, to_light, t_max, owner, facing, normal
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from jit import inlined, kernel
 from rtrace import nodes as layout
-from rtrace.intersect import NARROWER, NO_PRIM, WIDER, shear, triangle_t
+from rtrace.intersect import NARROWER, NO_PRIM, WIDER, shear, slack, triangle_t
 from rtrace.nodes import Tree, words
 from traces import format as contract
 
@@ -118,6 +118,7 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
         # Bit k: the direction is negative along axis k, so the upper child of a node split there comes first.
         backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
         k, shear_ = shear(dx, dy, dz)
+        margin = slack(nodes, ox, oy, oz, dx, dy, dz)  # node 0 begins with the box of all triangles
         best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
         sp, pp, node = ZERO, ZERO, ZERO
         while True:
@@ -136,7 +137,7 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
             t1 = a if a < t1 else t1
             a = (nodes[b + fz] - oz) * iz
             t1 = a if a < t1 else t1
-            if t0 * NARROWER <= t1 * WIDER:
+            if t0 * NARROWER - margin <= t1 * WIDER:
                 m, child = np.uint64(meta[b + SEVEN]), np.uint64(meta[b + SIX])
                 if m & THREE != LEAF:
                     if events is not None:
@@ -207,8 +208,9 @@ def trace_kdtree(
             a, z = (bounds[near + axis] - o) * inverse, (bounds[THREE - near + axis] - o) * inverse
             t0 = a if a > t0 else t0
             t1 = z if z < t1 else t1
-        t0 *= NARROWER
-        t1 *= WIDER
+        margin = slack(bounds, ox, oy, oz, dx, dy, dz)
+        t0 = t0 * NARROWER - margin
+        t1 = t1 * WIDER + margin
         if t0 <= t1:
             k, shear_ = shear(dx, dy, dz)
             sp, pp, node = ZERO, ZERO, ZERO
@@ -221,8 +223,8 @@ def trace_kdtree(
                     inverse = ix if axis == ZERO else (iy if axis == ONE else iz)
                     distance = nodes[b] - o
                     a, z = distance * inverse * NARROWER, distance * inverse * WIDER
-                    low = a if a < z else z
-                    high = z if a < z else a
+                    low = (a if a < z else z) - margin
+                    high = (z if a < z else a) + margin
                     upper_first = ONE if inverse < 0.0 else ZERO
                     visits_near, visits_far = high >= t0, low <= t1
                     if abs(inverse) == np.inf:  # parallel to the plane: one side for good, or, lying in it, both

@@ -78,6 +78,12 @@ class Nearest:
         return (-1, math.inf) if self.prim is None else (self.prim, self.t)
 
 
+def margin_of(tree, origin, direction):
+    """Return the absolute margin of a ray: as far as rounding may move the t of a triangle of this scene, generously."""
+    reach = max(abs(float(corner[k]) - origin[k]) for corner in tree.bounds for k in range(3))
+    return PAD * reach / max(abs(d) for d in direction)
+
+
 def box_interval(lower, upper, origin, direction, t_min, t_max):
     """Return the ray's interval in a box; a face in whose plane the ray lies does not narrow it."""
     for k in range(3):
@@ -114,13 +120,14 @@ def _test_leaf(tree, first, count, origin, direction, best, any_hit):
 
 def _traverse_bvh(tree, origin, direction, best, any_hit, events):
     unit = PrefetchUnit()
+    margin = margin_of(tree, origin, direction)
     number = 0
     while number is not None:
         node = tree.nodes[number]
         lower, upper = node["lower"].astype(float).tolist(), node["upper"].astype(float).tolist()
         enters, leaves = box_interval(lower, upper, origin, direction, best.t_min, best.t)
         child, axis, count = int(node["child"]), int(node["meta"]) & 3, int(node["meta"]) >> 2
-        if not enters <= leaves:
+        if not enters - margin <= leaves:
             events.append((number, READ))
         elif axis != 3:
             events.append((number, PUSH))
@@ -140,6 +147,8 @@ def _traverse_bvh(tree, origin, direction, best, any_hit, events):
 def _traverse_kdtree(tree, origin, direction, best, any_hit, events):
     lower, upper = (b.astype(float).tolist() for b in tree.bounds)
     enters, leaves = box_interval(lower, upper, origin, direction, best.t_min, best.t)
+    margin = margin_of(tree, origin, direction)
+    enters, leaves = enters - margin, leaves + margin
     if not enters <= leaves:
         return
     unit = PrefetchUnit()
@@ -172,6 +181,7 @@ def _traverse_kdtree(tree, origin, direction, best, any_hit, events):
             near, far = (below, above) if direction[axis] > 0 else (above, below)
             at = distance * divide(1.0, direction[axis])
             sooner, later = sorted((at * (1 - PAD), at * (1 + PAD)))
+            sooner, later = sooner - margin, later + margin
             visits = []
             if later >= enters:
                 visits.append((near, enters, min(leaves, later)))

@@ -127,13 +127,11 @@ def call_peer(peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool) -> np.nd
     arrays: list = [*words(tree), tree.prims, tree.triangles]
     if tree.kind == "kdtree":
         arrays.append(tree.bounds)
-    inputs = [*arrays, tree.max_level, rays.origin, rays.direction, rays.t_min, rays.t_max, n, any_hit]
+    inputs = [*arrays, tree.max_level, rays.origin, rays.direction, rays.t_min, rays.t_max, ctypes.c_int64(n), int(any_hit)]
     call = peer.trace_bvh if tree.kind == "bvh" else peer.trace_kdtree
     written = call(*map(_argument, [*inputs, prim, t, count, events]))
     return events[:written]
 
 
 def _argument(value):
-    if isinstance(value, np.ndarray):
-        return ctypes.c_void_p(value.ctypes.data)
-    return ctypes.c_int64(value) if isinstance(value, int) and not isinstance(value, bool) and value > 1000 else int(value)
+    return ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value

@@ -36,6 +36,16 @@ struct Ray {
         sz = 1.0 / d[kz];
     }
 
+    // Absolute margin of the culling tests: see slack() in rtrace/intersect.py.
+    double slack(const float* bounds) const {
+        double reach = 0.0, size = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            reach = std::max({reach, std::abs(bounds[k] - o[k]), std::abs(bounds[3 + k] - o[k])});
+            size = std::max(size, std::abs(d[k]));
+        }
+        return kPad * reach / size;
+    }
+
     // Ray parameter of the hit with the triangle at v, NaN for none (Woop, Benthin, Wald 2013).
     double hit(const float* v) const {
         const double az = v[kz] - o[kz], bz = v[3 + kz] - o[kz], cz = v[6 + kz] - o[kz];
@@ -102,6 +112,7 @@ extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int
             backwards |= static_cast<uint32_t>(negative) << k;
         }
         const int64_t start = trace.n;
+        const double margin = ray.slack(nodes);
         int sp = 0, pp = 0;
         uint32_t node = 0;
         for (;;) {
@@ -112,7 +123,7 @@ extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int
                 t0 = a > t0 ? a : t0;
                 t1 = z < t1 ? z : t1;
             }
-            if (t0 * kNarrower <= t1 * kWider) {
+            if (t0 * kNarrower - margin <= t1 * kWider) {
                 const uint32_t child = meta[8 * static_cast<int64_t>(node) + 6], m = meta[8 * static_cast<int64_t>(node) + 7];
                 if ((m & 3) != kLeaf) {
                     trace.add(node, kPush);
@@ -160,8 +171,9 @@ extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const 
             t0 = a > t0 ? a : t0;
             t1 = z < t1 ? z : t1;
         }
-        t0 *= kNarrower;
-        t1 *= kWider;
+        const double margin = ray.slack(bounds);
+        t0 = t0 * kNarrower - margin;
+        t1 = t1 * kWider + margin;
         int sp = 0, pp = 0;
         uint32_t node = 0;
         while (t0 <= t1) {
@@ -171,7 +183,7 @@ extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const 
                 const double inverse = ray.inverse[axis];
                 const double distance = nodes[2 * static_cast<int64_t>(node)] - ray.o[axis];
                 const double a = distance * inverse * kNarrower, z = distance * inverse * kWider;
-                double low = std::min(a, z), high = std::max(a, z);
+                double low = std::min(a, z) - margin, high = std::max(a, z) + margin;
                 uint32_t upper_first = inverse < 0.0;
                 bool visits_near = high >= t0, visits_far = low <= t1;
                 if (std::isinf(inverse)) {
