@@ -271,44 +271,76 @@ def scenes(as_json: bool) -> None:
 
 
 @nptrace.command()
-@click.argument("names", metavar="SCENE...", nargs=-1, required=True)
+@click.argument("names", metavar="[SCENE]...", nargs=-1)
+@click.option("--hard", is_flag=True, help="Run the catalogue of hard cases, whose answers are exact, through all structures.")
+@click.option("--long", "is_long", is_flag=True, help="With --hard: the long form, some minutes.")
 @click.option("--size", default="256x256", show_default=True, metavar="WxH", help="Pixels of the picture.")
 @click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="Random rays.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the random rays.")
 @scene_options
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
-def check(names: tuple[str, ...], size: str, n_random: int, seed: int, strict: bool, offline: bool, as_json: bool) -> None:
+def check(
+    names: tuple[str, ...], hard: bool, is_long: bool, size: str, n_random: int, seed: int, strict: bool, offline: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Compare both trees with Embree on camera, shadow and random rays; exit 1 beyond a limit.
 
     \b
     nptrace check bunny
     nptrace check model.ply --random 1000000
+    nptrace check --hard
     """
     from rtrace.camera import parse_size
-    from rtrace.treecache import TREES, cached_tree
-    from rtrace.verify import compare
 
+    if not names and not hard:
+        raise BadInput("name a scene to compare with Embree, or give --hard")
     width, height = parse_size(size)
-    rows = []
-    for scene in load_scenes(names, strict, offline):
-        trees = [cached_tree(scene, kind) for kind in TREES]
-        rows += [(scene.label, row) for row in compare(trees, scene, width, height, n_random, seed)]
-    bad = [row for _, row in rows if not row.is_good]
-    if as_json:
-        click.echo(json.dumps([{"scene": label, **row._asdict(), "is_good": row.is_good} for label, row in rows], indent=2))
-    else:
-        from cachesim.text import Table, number, print_tables
+    rows: list[dict[str, Any]] = []
+    if hard:
+        from rtrace.hard_cases import run_all
 
-        header = ["Scene", "Tree", "Rays", "Number", "Compared", "Value", "Limit", ""]
-        lines = [
-            [label, row.tree, row.rays, number(row.n_rays), row.what, f"{row.value:.3g}", f"{row.limit:.3g}",
-             "ok" if row.is_good else "BEYOND"]
-            for label, row in rows
-        ]  # fmt: skip
-        note = f"{len(rows)} comparisons, {len(bad)} beyond their limit."
-        print_tables([Table("", header, lines, n_left=3)], [note], sys.stdout)
-    if bad:
+        rows += [{**row._asdict(), "is_good": row.is_good} for row in run_all(is_long)]
+    if names:
+        from rtrace.treecache import TREES, cached_tree
+        from rtrace.verify import compare
+
+        for scene in load_scenes(names, strict, offline):
+            trees = [cached_tree(scene, kind) for kind in TREES]
+            compared = compare(trees, scene, width, height, n_random, seed)
+            rows += [{"scene": scene.label, **row._asdict(), "is_good": row.is_good} for row in compared]
+    n_bad = sum(not row["is_good"] for row in rows)
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+    else:
+        print_checks(rows, f"{len(rows)} comparisons, {n_bad} beyond their limit.")
+    if n_bad:
         raise SystemExit(1)
+
+
+def print_checks(rows: list[dict[str, Any]], note: str) -> None:
+    """Print comparisons with Embree and hard cases, each kind as a table of its own."""
+    from cachesim.text import Table, number, print_tables
+
+    verdict = {True: "ok", False: "BEYOND"}
+    counts = ("n_rays", "lost", "invented", "wrong", "unlike", "ambiguous")
+    embree = [
+        [r["scene"], r["tree"], r["rays"], number(r["n_rays"]), r["what"], f"{r['value']:.3g}", f"{r['limit']:.3g}",
+         verdict[r["is_good"]]]
+        for r in rows if "scene" in r
+    ]  # fmt: skip
+    hard = [
+        [r["case"], r["structure"], *(number(r[name]) for name in counts), f"{r['t_error']:.2g}", f"{r['bound']:.2g}",
+         verdict[r["is_good"]]]
+        for r in rows if "case" in r
+    ]  # fmt: skip
+    tables = []
+    if hard:
+        header = ["Hard case", "Structure", "Rays", "Lost", "Invented", "Wrong", "Unlike", "Ambiguous", "t error", "Bound", ""]
+        tables.append(Table("", header, hard, n_left=2))
+    if embree:
+        header = ["Scene", "Tree", "Rays", "Number", "Compared", "Value", "Limit", ""]
+        tables.append(Table("", header, embree, n_left=3))
+    print_tables(tables, [note], sys.stdout)
 
 
 @nptrace.command()
