@@ -5,9 +5,10 @@ BIN := .venv/bin
 INSTALLED := .venv/installed
 RUNS ?= traces
 THREADS ?= 2
+PAGES := README.md docs/correctness.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test lint docs docs-check reproduce-table clean
+.PHONY: help test lint docs docs-check correctness reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,13 +35,19 @@ reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and prin
 docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
 	$(BIN)/nptrace render bunny conference sibenik sponza --out .venv/runs
-	$(BIN)/npcache table1 --traces .venv/runs --format csv -o docs/table1.csv
+	$(BIN)/npcache table1 --traces .venv/runs --format csv -o docs/data/table1.csv
 	$(BIN)/nptrace render blob room nave court --accel bvh --size 320x320 --out .venv/stand-ins
 	$(BIN)/python docs/pictures.py docs/scenes.png .venv/stand-ins/*/image.png
-	$(BIN)/cog -r README.md
+	$(BIN)/nptrace check bunny conference sibenik sponza --json > docs/data/embree.json
+	$(BIN)/cog -r $(PAGES)
 
-docs-check: $(INSTALLED) ## Fail if a figure in README.md is not what its command prints
-	$(BIN)/cog --check README.md
+docs-check: $(INSTALLED) ## Fail if a figure in the pages is not what its command prints
+	$(BIN)/cog --check $(PAGES)
+
+correctness: $(INSTALLED) ## Run the hard cases (long form) and all mutations, about an hour, and write docs/correctness.md
+	$(BIN)/nptrace check --hard --long --json > docs/data/hard_cases.json
+	$(BIN)/python -m tests.mutations -o docs/data/mutations.csv
+	$(BIN)/cog -r docs/correctness.md
 
 clean: ## Remove the environment and the runs under traces/
 	rm -rf .venv $(wildcard traces/*/)

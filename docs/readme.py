@@ -1,6 +1,7 @@
-"""What cog runs for README.md: commands whose real output stands there, and Table I from the figures under docs/."""
+"""What cog runs for the pages: commands whose real output stands there, and tables from the figures under docs/data/."""
 
 import csv
+import json
 import os
 import shlex
 import subprocess
@@ -9,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT / "docs" / "data"
 TREES = {"kdtree": "kd-tree", "bvh": "BVH"}
 FOLDER = Path(tempfile.gettempdir()) / f"nptrace-readme-{os.getpid()}"
 
@@ -38,8 +40,8 @@ def show(cog, *commands: str) -> None:
 
 
 def table1(cog) -> None:
-    """Write Table I from docs/table1.csv, ours beside the paper's, one row per cache."""
-    with open(ROOT / "docs" / "table1.csv", encoding="utf-8") as file:
+    """Write Table I from table1.csv, ours beside the paper's, one row per cache."""
+    with open(DATA / "table1.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     cog.outl("| | | miss A % | paper | miss B % | paper | B/A % | paper | KB B/A % | paper | *demand* A % | *demand* B/A % |")
     cog.outl("| --- | --- |" + " ---: |" * 10)
@@ -53,3 +55,41 @@ def table1(cog) -> None:
             cells += [float(row["demand_miss_a"]), float(row["demand_ratio"])]
             cache = f"{int(row['size_bytes']) // 1024}K({row['ways']})"
             cog.outl(f"| {TREES[tree]} {scene.capitalize()} | {cache} | " + " | ".join(f"{cell:.1f}" for cell in cells) + " |")
+
+
+def hard_cases(cog) -> None:
+    """Write what ``nptrace check --hard --json`` found, one line per case: the worst of its structures."""
+    rows = json.loads((DATA / "hard_cases.json").read_text(encoding="utf-8"))
+    cog.outl("| case | structures | rays | lost | invented | wrong | unlike | ambiguous | t error | bound |")
+    cog.outl("| --- |" + " ---: |" * 9)
+    for case in dict.fromkeys(row["case"] for row in rows):
+        of = [row for row in rows if row["case"] == case]
+        sums = " | ".join(str(max(row[name] for row in of)) for name in ("lost", "invented", "wrong", "unlike", "ambiguous"))
+        error = max(row["t_error"] for row in of)
+        cog.outl(f"| {case} | {len(of)} | {of[0]['n_rays']:,} | {sums} | {error:.2g} | {of[0]['bound']:g} |")
+
+
+def embree(cog) -> None:
+    """Write what ``nptrace check --json`` found, one line per kind of rays and comparison: the worst over scenes and trees."""
+    rows = json.loads((DATA / "embree.json").read_text(encoding="utf-8"))
+    cog.outl("| rays | compared | comparisons | rays in all | largest | limit |")
+    cog.outl("| --- | --- |" + " ---: |" * 4)
+    for rays, what in dict.fromkeys((row["rays"], row["what"]) for row in rows):
+        of = [row for row in rows if (row["rays"], row["what"]) == (rays, what)]
+        worst = max(of, key=lambda row: row["value"])
+        n_rays = sum(row["n_rays"] for row in of)
+        cog.outl(f"| {rays} | {what} | {len(of)} | {n_rays:,} | {worst['value']:.3g} | {worst['limit']:.3g} |")
+
+
+def mutations(cog) -> None:
+    """Write which test noticed each mutation."""
+    with open(DATA / "mutations.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    survived = sum(not row["noticed by"] for row in rows)
+    cog.outl(f"{len(rows)} mutations were tried, {survived} survived.\n")
+    cog.outl("| mutation | file | noticed by |")
+    cog.outl("| --- | --- | --- |")
+    for row in rows:
+        test = row["noticed by"].split("[")[0].replace(".py::", ": ")
+        what = row["mutation"].replace("|", "\\|")
+        cog.outl(f"| {what} | {row['file']} | {test or '**survived**'} |")

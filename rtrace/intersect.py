@@ -16,6 +16,9 @@ PAD = 2.0**-40
 WIDER = 1.0 + PAD
 NARROWER = 1.0 - PAD
 
+#: Bound of the relative rounding of a triangle's projected area and corners.
+NOISE = 2.0**-48
+
 #: Larger than any triangle number: the number of "no hit yet", so that the lowest number wins among equal t.
 NO_PRIM = np.int32(2**31 - 1)
 
@@ -58,7 +61,8 @@ def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz):
 
     Every edge function is computed from sheared vertices that neighbouring triangles share, and a*b - c*d without
     contraction changes its sign exactly when the edge is walked the other way: no ray passes between two triangles with a
-    common edge. Edges belong to both. A triangle seen edge-on, or without area, is not hit.
+    common edge. Edges belong to both. A triangle seen edge-on, or without area, is not hit, unless rounding opens it: then
+    between its ends, at the depth of its corners.
     """
     az, bz, cz = tri[v + kz] - oz, tri[v + SECOND + kz] - oz, tri[v + THIRD + kz] - oz
     ax, ay = (tri[v + kx] - ox) - sx * az, (tri[v + ky] - oy) - sy * az
@@ -77,4 +81,15 @@ def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz):
     det = u + v_ + w
     if det == 0.0:
         return np.nan
-    return (u * az + v_ * bz + w * cz) * sz / det
+    # Edge-on, or without area, a triangle is a line in the sheared plane: on all of that line the edge functions are rounding
+    # noise, of any sign. Only between its ends may it be taken for a hit (and must: its neighbours saw the ray outside).
+    wide, tall = max(abs(ax), abs(bx), abs(cx)), max(abs(ay), abs(by), abs(cy))
+    if abs(det) <= NOISE * wide * tall:
+        if min(ax, bx, cx) > NOISE * wide or max(ax, bx, cx) < -NOISE * wide:
+            return np.nan
+        if min(ay, by, cy) > NOISE * tall or max(ay, by, cy) < -NOISE * tall:
+            return np.nan
+    # A weighted mean of the corners' depths: rounding may not take it out of them, or a triangle that is edge-on but for
+    # rounding would be hit anywhere along the ray.
+    depth = (u * az + v_ * bz + w * cz) / det
+    return sz * max(min(depth, max(az, bz, cz)), min(az, bz, cz))

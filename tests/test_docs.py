@@ -34,5 +34,5 @@ def test_the_query_of_the_readme_runs(tmp_path):
 def test_the_table_of_the_readme_is_what_the_program_prints(tmp_path):
     run(cli.nptrace, "render", "bunny", "conference", "sibenik", "sponza", "--out", tmp_path)
     printed = run(cli.npcache, "table1", "--traces", tmp_path, "--format", "csv")
-    assert printed == (ROOT / "docs" / "table1.csv").read_text()
+    assert printed == (ROOT / "docs" / "data" / "table1.csv").read_text()
     assert len(list(csv.DictReader(printed.splitlines()))) == 32

@@ -59,7 +59,16 @@ def triangle_hit(corners, origin, direction):
     det = u + v + w
     if det == 0.0:
         return None
-    return (u * moved[0][kz] + v * moved[1][kz] + w * moved[2][kz]) * scale / det
+    # A triangle that is edge-on but for rounding is a line: it counts between its ends only.
+    xs, ys, noise = (ax, bx, cx), (ay, by, cy), 2.0**-48
+    wide, tall = max(map(abs, xs)), max(map(abs, ys))
+    if abs(det) <= noise * wide * tall:
+        for values, size in ((xs, wide), (ys, tall)):
+            if min(values) > noise * size or max(values) < -noise * size:
+                return None
+    depths = [p[kz] for p in moved]
+    depth = (u * depths[0] + v * depths[1] + w * depths[2]) / det
+    return scale * max(min(depth, max(depths)), min(depths))
 
 
 class Nearest:

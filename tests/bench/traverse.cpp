@@ -56,7 +56,16 @@ struct Ray {
         const double low = std::min(std::min(u, w), q), high = std::max(std::max(u, w), q);
         const double det = u + w + q;
         if ((low < 0.0 && high > 0.0) || det == 0.0) return std::numeric_limits<double>::quiet_NaN();
-        return (u * az + w * bz + q * cz) * sz / det;
+        constexpr double kNoise = kPad / 256;
+        const double wide = std::max({std::abs(ax), std::abs(bx), std::abs(cx)});
+        const double tall = std::max({std::abs(ay), std::abs(by), std::abs(cy)});
+        if (std::abs(det) <= kNoise * wide * tall) {
+            const bool beside = std::min({ax, bx, cx}) > kNoise * wide || std::max({ax, bx, cx}) < -kNoise * wide;
+            const bool above = std::min({ay, by, cy}) > kNoise * tall || std::max({ay, by, cy}) < -kNoise * tall;
+            if (beside || above) return std::numeric_limits<double>::quiet_NaN();
+        }
+        const double depth = (u * az + w * bz + q * cz) / det;
+        return sz * std::max(std::min(depth, std::max({az, bz, cz})), std::min({az, bz, cz}));
     }
 };
 
