@@ -116,11 +116,11 @@ def run_case(case: Case, structures: Structures = STRUCTURES) -> list[Row]:
     """Run one case; brute force only where it is affordable."""
     case = case._replace(rays=Rays(*map(np.array, case.rays)))  # writable: Numba compiles anew for read-only arrays
     judge = _judge_hits if case.light is None else partial(_judge_shadows, light=case.light)
-    first, rows = None, []
-    if len(case.rays.t_min) * len(case.triangles) <= _BRUTE_PAIRS:
-        first = judge(case, _brute_force(case.triangles))[1]
+    is_affordable = len(case.rays.t_min) * len(case.triangles) <= _BRUTE_PAIRS
+    first = judge(case, _brute_force(case.triangles))[1] if is_affordable else None
+    rows = []
     for structure, build in structures.items():
-        if build is _brute_force and first is None:
+        if build is _brute_force and not is_affordable:
             continue
         counts, found = judge(case, build(case.triangles))
         first = first or found

@@ -186,3 +186,33 @@ def test_a_closed_pipe_is_quiet(folder):
     process.stdout.close()
     _, error = process.communicate(timeout=120)
     assert error == b""
+
+
+def test_a_sweep_counts_what_replays_count(folder, tmp_path):
+    rows = json.loads(npcache("sweep", folder / "bunny-bvh", "--size", "1K..4K", "--ways", "1,2", "--json").stdout)
+    assert len(rows) == 6
+    for row in rows:
+        [want] = json.loads(replayed(folder / "bunny-bvh", "--size", row["size_bytes"], "--assoc", row["ways"], "--json"))
+        assert {name: row[name] for name in want if name in row} == {name: want[name] for name in want if name in row}
+    files = "-o", tmp_path / "x.csv", "--plot", tmp_path / "x.svg"
+    result = npcache("sweep", folder / "bunny-bvh", "--size", "1K..4K", "--ways", "1,2", *files)
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert len(list(csv.DictReader(io.StringIO((tmp_path / "x.csv").read_text())))) == 6
+    assert (tmp_path / "x.svg").read_text().startswith("<?xml")
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (("--size", "8K..4K"), "8K..4K"),
+        (("--ways", "0"), "0"),
+        (("-o", "x.txt"), "must end in"),
+        (("--prefetch", "next-line:miss"), "next-line"),
+    ],
+)
+def test_a_bad_sweep_is_one_sentence(folder, tmp_path, monkeypatch, args, words):
+    monkeypatch.chdir(tmp_path)
+    result = npcache("sweep", folder / "bunny-bvh", *args)
+    assert result.exit_code == 2
+    assert words in result.stderr
+    assert list(tmp_path.iterdir()) == []

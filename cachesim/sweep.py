@@ -1,0 +1,257 @@
+"""Many LRU caches in one pass: a source and a grid of configurations in, one exact Row per configuration out.
+
+All caches of one line size share the trace, decoded once, and one walk over the numbers of sets from few to many (Mattson
+1970, Hill and Smith 1989). Each set keeps its lines newest first, so the place where a line is found says which numbers of
+ways hit. A line that is the newest of its set is the newest in its smaller set of every larger number of sets, where it is
+found first and nothing moves: the walk stops there. (Every number of sets is thus the exact filter of ``cachesim.filter`` for
+the next; a filter in front drops what the first step stops at, and did not pay.) With a single set, the fully associative
+caches, the stack distances of ``cachesim.reuse`` serve all sizes at once.
+
+Pre-fetches that come with the trace act like reads, so what a cache holds does not depend on who asked: one pass counts demand
+accesses and pre-fetches apart (B of the paper), and a second over the demand accesses alone gives A. This is not so for FIFO
+and random replacement, which have no such order, nor for pre-fetchers that react to hits and misses: both are refused.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cachesim.account import ratio
+from cachesim.config import CacheConfig, format_bytes, parse_bytes, parse_ways
+from cachesim.exact import PREFETCH
+from cachesim.layout import Layout
+from cachesim.levels import Levels
+from cachesim.prefetch import Prefetch, parse_prefetch
+from cachesim.reuse import StackDistances, check_one_pass
+from cachesim.source import RunSource, Source, demand_only, open_source
+from traces.format import Run
+
+
+def parse_range(text: str) -> tuple[int, int]:
+    """Return the lowest and highest byte size that a text such as ``4K..64K`` or ``8K`` names."""
+    low, dots, high = text.partition("..")
+    sizes = parse_bytes(low), parse_bytes(high if dots else low)
+    if sizes[0] > sizes[1]:
+        raise ValueError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
+    return sizes
+
+
+def parse_ways_range(text: str) -> tuple[str, ...]:
+    """Return the numbers of ways that a text such as ``1..16``, ``4`` or ``full`` names, for ``grid``."""
+    low, dots, high = text.partition("..")
+    if not dots:
+        return (text,)
+    try:
+        ways = tuple(str(n) for n in range(int(low), int(high) + 1))
+    except ValueError:
+        raise ValueError(f"{text!r} is not a range of ways; write e.g. 1..16") from None
+    if not ways:
+        raise ValueError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
+    return ways
+
+
+def grid(sizes: Sequence[tuple[int, int]], ways: Sequence[str], line_bytes: Sequence[int]) -> list[CacheConfig]:
+    """Return every LRU cache with a power of two as its number of sets whose size lies in one of the ranges.
+
+    Sizes follow from the ways: 4K to 64K with 3 ways of 32-byte lines are 6K, 12K, 24K and 48K. ``full`` ways are for every
+    power of two in a range, and for its ends.
+    """
+    configs = []
+    for line in line_bytes:
+        for way in ways:
+            is_full = way.strip().lower() == "full"
+            n_ways = parse_ways(way, line, line)
+            smallest = CacheConfig(n_ways * line, n_ways, line)
+            possible = {smallest.size_bytes << k for k in range(48)}
+            if is_full:
+                possible |= {end for ends in sizes for end in ends if end and end % line == 0}
+            fitting = sorted(size for size in possible if any(low <= size <= high for low, high in sizes))
+            configs += [CacheConfig(size, size // line if is_full else n_ways, line) for size in fitting]
+    if not configs:
+        said = ", ".join(format_bytes(low) + (f"..{format_bytes(high)}" if high > low else "") for low, high in sizes)
+        raise ValueError(
+            f"no cache of {said} with {', '.join(ways)} ways has a power of two as its number of sets (size = sets x ways x "
+            "line); choose another size, e.g. 4K..64K"
+        )
+    return list(dict.fromkeys(configs))
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Counts of one LRU cache, with the names that ``npcache replay`` uses.
+
+    ``demand_misses`` and ``prefetch_misses`` are those with pre-fetching (B), ``demand_misses_without`` those of the demand
+    accesses alone (A).
+    """
+
+    run: str
+    config: CacheConfig
+    prefetch: str
+    layout: str
+    demand_accesses: int
+    demand_misses: int
+    prefetch_accesses: int
+    prefetch_misses: int
+    demand_misses_without: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the counts and rates as JSON values; a rate with a denominator of 0 is None."""
+        config, misses = self.config, self.demand_misses + self.prefetch_misses
+        coverage = ratio(self.demand_misses, self.demand_misses_without)
+        return {
+            "run": self.run,
+            "size_bytes": config.size_bytes,
+            "sets": config.n_sets,
+            "ways": config.ways,
+            "line_bytes": config.line_bytes,
+            "policy": config.policy,
+            "prefetch": self.prefetch,
+            "layout": self.layout,
+            "demand_accesses": self.demand_accesses,
+            "demand_misses": self.demand_misses,
+            "prefetch_accesses": self.prefetch_accesses,
+            "prefetch_misses": self.prefetch_misses,
+            "total_misses": misses,
+            "demand_misses_without": self.demand_misses_without,
+            "bytes_from_memory": misses * config.line_bytes,
+            "demand_miss_rate": ratio(self.demand_misses, self.demand_accesses),
+            "demand_miss_rate_without": ratio(self.demand_misses_without, self.demand_accesses),
+            "paper_miss_rate": ratio(misses, self.demand_accesses + self.prefetch_accesses),
+            "coverage": None if coverage is None else 1.0 - coverage,
+            "traffic_ratio": ratio(misses, self.demand_misses_without),
+        }
+
+
+def sweep(
+    source: Source | Run | Path | str,
+    configs: Sequence[CacheConfig],
+    *,
+    prefetch: Prefetch | str = "traced",
+    layout: Layout | str = "stored",
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[Row]:
+    """Count the misses of every cache, exactly, in one pass per line size; return one row each, in the order of ``configs``.
+
+    Parameters
+    ----------
+    source : Source, Run or path
+        A path is a run's directory or a DineroIV trace. ``layout`` is that of a Run or path.
+    configs : sequence of CacheConfig
+        LRU, each with a power of two as its number of sets; ``grid`` makes them from ranges.
+    prefetch : Prefetch or str
+        Any policy whose requests do not depend on the cache.
+    threads : int, optional
+        Passes run at a time, of which each line size has two, with pre-fetches and without; as many as there are cores when
+        None. The counts do not depend on it.
+    progress : callable, optional
+        Called with the number of events done after each batch.
+    """
+    prefetch = parse_prefetch(prefetch) if isinstance(prefetch, str) else prefetch
+    check_one_pass(prefetch)
+    for config in configs:
+        check(config)
+    if isinstance(source, Run):
+        source = RunSource(source, layout)
+    elif isinstance(source, (str, Path)):
+        source = open_source(source, layout)
+    by_line: dict[int, list[CacheConfig]] = {}
+    for config in configs:
+        by_line.setdefault(config.line_bytes, []).append(config)
+    groups = {line_bytes: _Group(source, line_bytes, members, prefetch) for line_bytes, members in by_line.items()}
+    running: list[Future[None]] = []
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        for events, labels in source.events(prefetch):
+            # The next batch is decoded and looked up while the passes over the last one run.
+            steps = [step for group in groups.values() for step in group.steps(events, labels)]
+            for step in running:
+                step.result()
+            running = [pool.submit(*step) for step in steps]
+            if progress is not None:
+                progress(labels.size)
+        for step in running:
+            step.result()
+    return [groups[config.line_bytes].row(source, config, prefetch) for config in configs]
+
+
+def check(config: CacheConfig) -> None:
+    """Raise a ValueError for a cache that one pass cannot count."""
+    if config.policy != "lru":
+        raise ValueError(
+            f"{config} cannot be swept: under {config.policy} a larger cache need not hold what a smaller one does; "
+            "sweep lru, or use npcache replay"
+        )
+    if config.n_sets & (config.n_sets - 1):
+        raise ValueError(f"{config} has {config.n_sets} sets; a sweep takes powers of two, use npcache replay or another size")
+    if config.line_bytes < 2:
+        raise ValueError(f"{config}: a sweep takes lines of 2 B and more")
+
+
+class _Group:
+    """All caches of one line size: they share the line numbers of a batch."""
+
+    def __init__(self, source: Source, line_bytes: int, configs: Sequence[CacheConfig], prefetch: Prefetch) -> None:
+        self._lines = source.lines(line_bytes, 0)
+        self._needs_ids = any(config.n_sets == 1 for config in configs)
+        self._streams = [_Stream(configs) for _ in range(1 if prefetch.kind == "none" else 2)]
+
+    def steps(self, events: Any, labels: np.ndarray) -> list[tuple[Any, ...]]:
+        """Take a batch of events; return the calls that count it, which may run at the same time."""
+        lines, labels = self._lines.accesses(events, labels)
+        ids = self._lines.ids(lines) if self._needs_ids else lines
+        steps = self._streams[0].steps(lines, ids, labels, self._lines.n_ids)
+        for demand in self._streams[1:]:
+            own, own_labels = demand_only(lines, labels)
+            own_ids = own if ids is lines else demand_only(ids, labels)[0]
+            steps += demand.steps(own, own_ids, own_labels, self._lines.n_ids)
+        return steps
+
+    def row(self, source: Source, config: CacheConfig, prefetch: Prefetch) -> Row:
+        """Return what was counted for one cache."""
+        everything, demand = self._streams[0], self._streams[-1]
+        demand_misses, prefetch_misses = everything.misses(config)
+        return Row(
+            run=source.name,
+            config=config,
+            prefetch=str(prefetch),
+            layout=str(source.layout),
+            demand_accesses=everything.n_demand,
+            demand_misses=demand_misses,
+            prefetch_accesses=everything.n_prefetches,
+            prefetch_misses=prefetch_misses,
+            demand_misses_without=demand.misses(config)[0],
+        )
+
+
+class _Stream:
+    """One stream of accesses, with pre-fetches or without, and what counts it: one set apart from several."""
+
+    def __init__(self, configs: Sequence[CacheConfig]) -> None:
+        several = [config for config in configs if config.n_sets > 1]
+        self._levels = Levels(several) if several else None
+        self._distances = StackDistances() if len(several) < len(configs) else None
+        self.n_demand = self.n_prefetches = 0
+
+    def steps(self, lines: np.ndarray, ids: np.ndarray, labels: np.ndarray, n_ids: int) -> list[tuple[Any, ...]]:
+        """Return the calls that count a batch."""
+        n_prefetches = int(np.count_nonzero(labels >= PREFETCH))
+        self.n_prefetches += n_prefetches
+        self.n_demand += labels.size - n_prefetches
+        steps: list[tuple[Any, ...]] = []
+        if self._levels is not None:
+            steps.append((self._levels.step, lines, labels))
+        if self._distances is not None:
+            steps.append((self._distances.step, ids, labels, n_ids))
+        return steps
+
+    def misses(self, config: CacheConfig) -> tuple[int, int]:
+        """Return the misses of demand accesses and of pre-fetches in one cache."""
+        if config.n_sets == 1 and self._distances is not None:
+            return self._distances.misses(config.ways)
+        assert self._levels is not None
+        return self._levels.misses(config)

@@ -1,0 +1,126 @@
+"""Stage 2 against itself and against DineroIV and pycachesim, where they are at hand: one cache, all caches, decoding."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from cachesim.config import CacheConfig
+from cachesim.lru import direct_mapped, empty_tags, set_mask, two_way
+from cachesim.replay import replay
+from tests.bench.measure import ratio, times
+from traces.din import export_din
+from traces.format import Run
+
+
+def demand_lines(run: Run) -> tuple[np.ndarray, np.ndarray]:
+    """Return all accesses of a run as 32-byte lines and labels, pre-fetches labelled 11, in memory."""
+    shift = 5 - int(run.metadata["tree"]["node_bytes"]).bit_length() + 1
+    pieces = [(node >> np.uint32(shift), kind) for node, kind in run.batches()]
+    lines = np.concatenate([np.asarray(line, np.uint32) for line, _ in pieces])
+    labels = np.where(np.concatenate([kind for _, kind in pieces]) == 3, np.uint8(11), np.uint8(0))
+    return lines, labels
+
+
+def bench_run(run: Run, repeat: int) -> dict[str, float]:
+    """Return the ratios of stage 2 for one run."""
+    lines, labels = demand_lines(run)
+    n = len(lines)
+
+    def one(kernel, n_sets, ways):
+        misses = np.zeros(16, np.int64)
+        kernel(lines, labels, n_sets, set_mask(n_sets), empty_tags(n_sets, ways), misses)
+        return misses
+
+    config = CacheConfig(8192, 2)
+    functions = {
+        "one way": lambda: one(direct_mapped, 256, 1),
+        "two ways": lambda: one(two_way, 128, 2),
+        "decode": lambda: sum(len(node) for node, _ in run.batches()),
+        "from Parquet": lambda: replay(run, [config], prefetch="none", threads=1),
+        "128 one by one": lambda: replay(run, [CacheConfig(32 << s, 1) for s in range(4, 12)], prefetch="none", threads=1),
+    }
+    taken = times(functions, repeat, time.perf_counter)
+    two = sorted(taken["two ways"])[repeat // 2]
+    out = {
+        "1-way, ns per access": sorted(taken["one way"])[repeat // 2] / n * 1e9,
+        "2-way, ns per access": two / n * 1e9,
+        "decode node + kind, M accesses/s": n / sorted(taken["decode"])[repeat // 2] / 1e6,
+        "replay from Parquet / 2-way from memory": ratio(taken["from Parquet"], taken["two ways"]),
+    }
+    out |= bench_sweep(lines, labels, taken["two ways"], repeat)
+    out |= bench_dinero(run, two / n)
+    return out
+
+
+def bench_sweep(lines: np.ndarray, labels: np.ndarray, two_ways: list[float], repeat: int) -> dict[str, float]:
+    """One pass for 128 caches, and exact stack distances, in units of one 2-way replay."""
+    try:
+        from cachesim.bench_hooks import one_pass, stack_distances
+    except ImportError:
+        return {}
+    taken = times(
+        {"pass": lambda: one_pass(lines, labels), "stack": lambda: stack_distances(lines, labels)}, repeat, time.perf_counter
+    )
+    return {
+        "128 caches in one pass / one 2-way": ratio(taken["pass"], two_ways),
+        "stack distances / one 2-way": ratio(taken["stack"], two_ways),
+    }
+
+
+def bench_dinero(run: Run, ours: float) -> dict[str, float]:
+    """DineroIV named by $DINERO on the same trace as din text, user time; pycachesim by the Python named by $PYCACHESIM."""
+    out = {}
+    program, python = os.environ.get("DINERO"), os.environ.get("PYCACHESIM")
+    with tempfile.TemporaryDirectory() as name:
+        trace = Path(name) / "x.din"
+        n = export_din(run, trace) if program or python else 0
+        if program:
+            command = [program, "-informat", "d", "-l1-usize", "8k", "-l1-ubsize", "32", "-l1-uassoc", "2"]
+            with open(trace, "rb") as file:
+                before = os.times().children_user
+                subprocess.run(command, stdin=file, capture_output=True, check=True)
+            out["DineroIV text / 2-way"] = (os.times().children_user - before) / n / ours
+        if python:
+            done = subprocess.run([python, "-c", _PYCACHESIM, str(trace)], capture_output=True, text=True, check=True)
+            out["pycachesim / 2-way"] = float(done.stdout) / ours
+    return out
+
+
+_PYCACHESIM = """
+import sys, time
+from cachesim import Cache, CacheSimulator, MainMemory
+memory = MainMemory()
+cache = Cache("L1", 128, 2, 32, "LRU")
+memory.load_to(cache)
+memory.store_from(cache)
+simulator = CacheSimulator(cache, memory)
+addresses = [int(line.split()[1], 16) for line in open(sys.argv[1])]
+start = time.process_time()
+simulator.load(addresses, length=1)
+print((time.process_time() - start) / len(addresses))
+"""
+
+
+def bench_start() -> dict[str, float]:
+    """Cold compilation of everything a study needs, and a warm start to the first traced ray, in seconds of wall time."""
+    command = [sys.executable, "-c", "import cli; cli.nptrace()", "render", "blob", "--size", "16x16", "--offline"]
+    replayed = [sys.executable, "-c", "import cli; cli.npcache()", "table1"]
+    with tempfile.TemporaryDirectory() as name:
+        root = str(Path(__file__).resolve().parents[2])
+        environment = {**os.environ, "XDG_CACHE_HOME": name, "PYTHONPATH": root}
+        environment.pop("NPTRACE_SCENES", None)
+        seconds = []
+        for _ in range(3):
+            start = time.perf_counter()
+            subprocess.run([*command, "--accel", "bvh"], cwd=name, env=environment, capture_output=True, check=True)
+            seconds.append(time.perf_counter() - start)
+            if len(seconds) == 1:
+                subprocess.run(command, cwd=name, env=environment, capture_output=True, check=True)
+                subprocess.run(replayed, cwd=name, env=environment, capture_output=True, check=False)
+                seconds[0] = time.perf_counter() - start
+    return {"cold compile of everything, s": seconds[0], "warm start to a finished 16x16 picture, s": min(seconds[1:])}
