@@ -315,6 +315,18 @@ def _(long):
     return exact_case(tilt, make_rays(origin, direction))
 
 
+@_enter("rays in the planes of triangles, past and through them")
+def _(long):
+    rng = np.random.default_rng(44)
+    triangles = rng.integers(-6, 7, (15, 3, 3))
+    triangles[::3, 2] = 2 * triangles[::3, 1] - triangles[::3, 0]  # without area
+    u, v = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    i, j, k, m = rng.integers(-4, 5, (4, 200 if long else 40, 1, 1))
+    origin, direction = triangles[:, 0] + (i * u + j * v) / 2, k * u + m * v
+    there = direction.any(axis=2)
+    return exact_case(triangles, make_rays(origin[there], direction[there]))
+
+
 @_enter("boxes, axis-parallel rays in face planes")
 def _(long):
     origin = _lattice(5, (6000 if long else 600, 3), -4, 16, 0.5)
