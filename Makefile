@@ -8,7 +8,7 @@ THREADS ?= 2
 PAGES := README.md docs/correctness.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test lint docs docs-check correctness reproduce-table clean
+.PHONY: help test bench lint docs docs-check correctness reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -48,6 +48,9 @@ correctness: $(INSTALLED) ## Run the hard cases (long form) and all mutations, a
 	$(BIN)/nptrace check --hard --long --json > docs/data/hard_cases.json
 	$(BIN)/python -m tests.mutations -o docs/data/mutations.csv
 	$(BIN)/cog -r docs/correctness.md
+
+bench: $(INSTALLED) ## Measure speed against peers, as ratios, and write docs/data/bench.csv (ARGS=--quick: a minute, writes nothing)
+	$(BIN)/python -m tests.bench $(ARGS)
 
 clean: ## Remove the environment and the runs under traces/
 	rm -rf .venv $(wildcard traces/*/)

@@ -76,7 +76,7 @@ BOX = [_field(f"{end}_{axis}", pa.float32(), "BVH: the node's box") for axis in 
 
 FILES = ("accesses.parquet", "rays.parquet", "nodes.parquet", "image.png")
 
-# Measured (docs/performance.md): neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long
+# Measured: neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long
 # enough, and which a dictionary or a delta would hide from it. The usual 20,000 rows a page took twice the bytes; a
 # dictionary for `kind`, which Parquet stores as int32, took five times the time of its split bytes.
 _ENCODING: dict[str, Any] = {

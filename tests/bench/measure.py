@@ -3,29 +3,6 @@
 import statistics
 import time
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
-
-
-class Ratio(NamedTuple):
-    """One line of the report: how many times as fast ``ours`` is as the peer (or as slow, as the title says)."""
-
-    title: str
-    peer: str
-    values: tuple[float, ...]  # one per scene
-    goal: float | None
-    at_least: bool = True
-
-    @property
-    def median(self) -> float:
-        """Median over the scenes."""
-        return statistics.median(self.values)
-
-    @property
-    def is_reached(self) -> bool | None:
-        """Whether the median reaches the goal; None without a goal."""
-        if self.goal is None:
-            return None
-        return self.median >= self.goal if self.at_least else self.median <= self.goal
 
 
 def times(

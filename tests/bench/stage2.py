@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from cachesim.config import CacheConfig
+from cachesim.levels import Levels
 from cachesim.lru import direct_mapped, empty_tags, set_mask, two_way
 from cachesim.replay import replay
+from cachesim.reuse import StackDistances
 from tests.bench.measure import ratio, times
 from traces.din import export_din
 from traces.format import Run
@@ -42,7 +44,6 @@ def bench_run(run: Run, repeat: int) -> dict[str, float]:
         "two ways": lambda: one(two_way, 128, 2),
         "decode": lambda: sum(len(node) for node, _ in run.batches()),
         "from Parquet": lambda: replay(run, [config], prefetch="none", threads=1),
-        "128 one by one": lambda: replay(run, [CacheConfig(32 << s, 1) for s in range(4, 12)], prefetch="none", threads=1),
     }
     taken = times(functions, repeat, time.perf_counter)
     two = sorted(taken["two ways"])[repeat // 2]
@@ -59,13 +60,12 @@ def bench_run(run: Run, repeat: int) -> dict[str, float]:
 
 def bench_sweep(lines: np.ndarray, labels: np.ndarray, two_ways: list[float], repeat: int) -> dict[str, float]:
     """One pass for 128 caches, and exact stack distances, in units of one 2-way replay."""
-    try:
-        from cachesim.bench_hooks import one_pass, stack_distances
-    except ImportError:
-        return {}
-    taken = times(
-        {"pass": lambda: one_pass(lines, labels), "stack": lambda: stack_distances(lines, labels)}, repeat, time.perf_counter
-    )
+    corners = [CacheConfig(16 * 32, 1), CacheConfig(2048 * 16 * 32, 16)]  # 2^4 to 2^11 sets, 1 to 16 ways
+    functions = {
+        "pass": lambda: Levels(corners).step(lines, labels),
+        "stack": lambda: StackDistances().step(lines, labels, int(lines.max()) + 1),
+    }
+    taken = times(functions, repeat, time.perf_counter)
     return {
         "128 caches in one pass / one 2-way": ratio(taken["pass"], two_ways),
         "stack distances / one 2-way": ratio(taken["stack"], two_ways),
