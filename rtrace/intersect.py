@@ -1,29 +1,37 @@
-"""The two tests of a ray: against a triangle (watertight) and against a box (never wrongly missed).
+"""The two tests of a ray: against a triangle (watertight) and against a box or plane (never wrongly missed).
 
 Both compute in float64 on float32 data: a difference of two float32 is (nearly) exact, no product over- or underflows, so
 scenes of any scale and rays of any length need no normalisation.
+
+The triangle test decides. A triangle it reports holds a point, the mean of its corners by the test's own weights, that lies
+at the reported t and beside the ray by less than its ``margins``. Boxes and planes moved by the margins therefore contain
+that point's t, so a tree finds what testing every triangle finds (docs/correctness.md has the bounds).
 """
 
 import numpy as np
 
 from jit import inlined, kernel
 
-#: How far the culling tests are widened, relative to the distance and, for hits near the origin, to the ray's ``slack``: boxes
-#: and cells whose entry lies beyond the best hit by less are still visited. Far above the rounding of the tests themselves
-#: (2^-50), so that hits that differ by rounding, found through different boxes, are all compared; far below the resolution
-#: of float32 coordinates (2^-24), so it costs no visits.
-PAD = 2.0**-40
-WIDER = 1.0 + PAD
-NARROWER = 1.0 - PAD
+#: Margin of the culling tests, relative to the scene's extent as seen from the ray's origin. Rounding moves the point that a
+#: hit stands for by at most 2^-46 of it (``THIN`` times the rounding of an edge function), the culling tests themselves
+#: by 2^-51; float32 coordinates resolve 2^-24, so the margin costs no visits.
+PAD = 2.0**-44
+#: Rounding of origin + margin, relative to the origin.
+ORIGIN_PAD = 2.0**-50
+#: Keeps the margin of a ray in a plane, whose sums may vanish, above zero.
+LEAST_PAD = 1e-300
 
-#: Bound of the relative rounding of a triangle's projected area and corners.
-NOISE = 2.0**-48
+#: An edge function is the difference of two products, each rounded by 2^-53 of itself: below this share of the largest
+#: products possible its sign may be that of the rounding.
+DOUBT = 2.0**-50
+#: A projected area below this share of the products it is the sum of: its edge functions are computed without cancellation.
+THIN = 2.0**-6
 
 #: Larger than any triangle number: the number of "no hit yet", so that the lowest number wins among equal t.
 NO_PRIM = np.int32(2**31 - 1)
 
-
 X, Y, Z, SECOND, THIRD = (np.uint64(k) for k in (0, 1, 2, 3, 6))  # unsigned: see traverse.py
+_SPLITTER = 2.0**27 + 1.0
 
 
 @kernel
@@ -41,28 +49,59 @@ def shear(dx, dy, dz):
 
 
 @inlined
-def slack(bounds, ox, oy, oz, dx, dy, dz):
-    """Return the absolute margin of a ray's culling tests, in t: PAD x its largest distance to the box / its direction.
+def margins(bounds, ox, oy, oz, dx, dy, dz):
+    """Return (x, y, z, doubt): how far the culling tests are moved along each axis, and the ray's bound for ``triangle_t``.
 
-    The t of a triangle is rounded relative to the distance of its corners, not to t: a relative margin alone vanishes where t
-    does. ``bounds[0:6]`` is the box of all triangles.
+    ``bounds[0:6]`` is the box of all triangles. Rounding moves a corner beside the ray by a share of its distance along that
+    axis and of its distance along the ray, times the slope.
     """
     x = max(abs(bounds[X] - ox), abs(bounds[SECOND] - ox))
     y = max(abs(bounds[Y] - oy), abs(bounds[SECOND + Y] - oy))
     z = max(abs(bounds[Z] - oz), abs(bounds[SECOND + Z] - oz))
-    return PAD * max(x, y, z) / max(abs(dx), abs(dy), abs(dz))
+    ax, ay, az = abs(dx), abs(dy), abs(dz)
+    if ax >= ay and ax >= az:
+        along = x / ax
+        wide, tall = y + along * ay, z + along * az
+    elif ay >= az:
+        along = y / ay
+        wide, tall = z + along * az, x + along * ax
+    else:
+        along = z / az
+        wide, tall = x + along * ax, y + along * ay
+    px = PAD * (x + along * ax) + ORIGIN_PAD * abs(ox) + LEAST_PAD
+    py = PAD * (y + along * ay) + ORIGIN_PAD * abs(oy) + LEAST_PAD
+    pz = PAD * (z + along * az) + ORIGIN_PAD * abs(oz) + LEAST_PAD
+    return px, py, pz, DOUBT * wide * tall
+
+
+@inlined
+def lost_by(a, b, product):
+    """Return a * b - product exactly, for product = a * b rounded (Dekker 1971)."""
+    t = _SPLITTER * a
+    a_high = t - (t - a)
+    a_low = a - a_high
+    t = _SPLITTER * b
+    b_high = t - (t - b)
+    b_low = b - b_high
+    return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+@inlined
+def difference(a, b, c, d):
+    """Return a * b - c * d with the sign of the exact value, and nearly its size."""
+    p, q = a * b, c * d
+    return (p - q) + (lost_by(a, b, p) - lost_by(c, d, q))
 
 
 @kernel
-def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz):
+def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt):
     """Return the ray parameter at which the ray's line meets the triangle whose nine floats start at ``tri[v]``; NaN for none.
 
-    ``ox``, ``oy``, ``oz`` is the origin, its axes permuted by (kx, ky, kz).
+    ``ox``, ``oy``, ``oz`` is the origin, its axes permuted by (kx, ky, kz); ``doubt`` is that of ``margins``.
 
-    Every edge function is computed from sheared vertices that neighbouring triangles share, and a*b - c*d without
-    contraction changes its sign exactly when the edge is walked the other way: no ray passes between two triangles with a
-    common edge. Edges belong to both. A triangle seen edge-on, or without area, is not hit, unless rounding opens it: then
-    between its ends, at the depth of its corners.
+    Every edge function is computed from sheared vertices that neighbouring triangles share, and its sign is that of the exact
+    value, which changes when the edge is walked the other way: no ray passes between two triangles with a common
+    edge. Edges belong to both. A triangle without area in the sheared plane, so one seen edge-on, is not hit.
     """
     az, bz, cz = tri[v + kz] - oz, tri[v + SECOND + kz] - oz, tri[v + THIRD + kz] - oz
     ax, ay = (tri[v + kx] - ox) - sx * az, (tri[v + ky] - oy) - sy * az
@@ -76,20 +115,13 @@ def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz):
     low = w if w < low else low
     high = u if u > v_ else v_
     high = w if w > high else high
-    if low < 0.0 and high > 0.0:
+    if low < -doubt and high > doubt:
         return np.nan
     det = u + v_ + w
-    if det == 0.0:
+    size = abs(cx * by) + abs(cy * bx) + abs(ax * cy) + abs(ay * cx) + abs(bx * ay) + abs(by * ax)
+    if abs(det) <= THIN * size or min(abs(u), abs(v_), abs(w)) <= DOUBT * size:
+        u, v_, w = difference(cx, by, cy, bx), difference(ax, cy, ay, cx), difference(bx, ay, by, ax)
+        det = u + v_ + w
+    if (min(u, v_, w) < 0.0 and max(u, v_, w) > 0.0) or det == 0.0:
         return np.nan
-    # Edge-on, or without area, a triangle is a line in the sheared plane: on all of that line the edge functions are rounding
-    # noise, of any sign. Only between its ends may it be taken for a hit (and must: its neighbours saw the ray outside).
-    wide, tall = max(abs(ax), abs(bx), abs(cx)), max(abs(ay), abs(by), abs(cy))
-    if abs(det) <= NOISE * wide * tall:
-        if min(ax, bx, cx) > NOISE * wide or max(ax, bx, cx) < -NOISE * wide:
-            return np.nan
-        if min(ay, by, cy) > NOISE * tall or max(ay, by, cy) < -NOISE * tall:
-            return np.nan
-    # A weighted mean of the corners' depths: rounding may not take it out of them, or a triangle that is edge-on but for
-    # rounding would be hit anywhere along the ray.
-    depth = (u * az + v_ * bz + w * cz) / det
-    return sz * max(min(depth, max(az, bz, cz)), min(az, bz, cz))
+    return (u * az + v_ * bz + w * cz) / det * sz

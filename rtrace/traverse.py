@@ -5,7 +5,8 @@ closest-hit and any-hit rays, traced or not (``events`` None compiles to a kerne
 
 Rules that hold for both trees (reasons in docs/correctness.md):
 
-- The triangle test decides; boxes and planes only skip what cannot matter, with a margin (``intersect.PAD``).
+- The triangle test decides; boxes and planes only skip what cannot matter: they are moved outwards by a margin, per ray and
+  axis (``intersect.margins``). So a ray lying in a face or a split plane is on both sides of it.
 - A hit counts when t_min <= t <= t_max. Among equal t the lowest triangle number wins, so culling keeps equals.
 - The pre-fetch unit of Park et al. 2013, Sec. 3: a push sets its pointer to the stack top, a pop lowers it to the top; at a
   non-empty leaf, before its triangles are tested, it requests the nodes below its pointer, which stays where it stops.
@@ -17,7 +18,7 @@ import numpy as np
 
 from jit import inlined, kernel
 from rtrace import nodes as layout
-from rtrace.intersect import NARROWER, NO_PRIM, WIDER, shear, slack, triangle_t
+from rtrace.intersect import NO_PRIM, margins, shear, triangle_t
 from rtrace.nodes import Tree, words
 from traces import format as contract
 
@@ -64,14 +65,14 @@ class Hits(NamedTuple):
 
 
 @inlined
-def _closest_in_leaf(prims, first, n_prims, tri, origin, ray, k, shear_, near_t, best, best_prim, any_hit):
+def _closest_in_leaf(prims, first, n_prims, tri, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit):
     """Test the triangles of a leaf; return the better of (best, best_prim) and the best hit among them."""
     kx, ky, kz = k
     sx, sy, sz = shear_
     ox, oy, oz = np.float64(origin[ray + kx]), np.float64(origin[ray + ky]), np.float64(origin[ray + kz])
     for i in range(first, first + n_prims):
         c = prims[i]
-        t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
+        t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt)
         if t >= near_t and (t < best or (t == best and c < best_prim)):
             best, best_prim = t, c
             if any_hit:
@@ -90,13 +91,13 @@ def _request_stack(stack, pp, events, n_events):
 
 
 @kernel
-def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_max, any_hit, first, prim, t, count, events):
+def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events):
     """Trace rays ``first``... through a BVH; return the first ray that did not fit into ``events``, else their number.
 
     The far child is pushed untested; a node is read and its own box tested when it is visited.
     ``nodes`` and ``meta`` are the nodes as flat float32 and uint32; ``tri``, ``origin``, ``direction`` are flat.
-    ``prim``, ``t`` and ``count`` (accesses of each ray) are filled. Stores into ``events`` are unguarded: between two pops a
-    ray writes at most one event per level and one per stack entry, so room for that is checked at each pop.
+    ``prim``, ``hit_t`` and ``count`` (accesses of each ray) are filled. Stores into ``events`` are unguarded: between two pops
+    a ray writes at most one event per level and one per stack entry, so room for that is checked at each pop.
     """
     stack = np.empty(max_level + 1, np.uint32)
     n_events, limit = ZERO, ZERO
@@ -118,26 +119,30 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
         # Bit k: the direction is negative along axis k, so the upper child of a node split there comes first.
         backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
         k, shear_ = shear(dx, dy, dz)
-        margin = slack(nodes, ox, oy, oz, dx, dy, dz)  # node 0 begins with the box of all triangles
+        px, py, pz, doubt = margins(nodes, ox, oy, oz, dx, dy, dz)  # node 0 begins with the box of all triangles
+        # The origin as seen from the near and from the far faces: farther off than it is, so that they lie farther out.
+        ax, zx = (ox - px, ox + px) if ix < 0.0 else (ox + px, ox - px)
+        ay, zy = (oy - py, oy + py) if iy < 0.0 else (oy + py, oy - py)
+        az, zz = (oz - pz, oz + pz) if iz < 0.0 else (oz + pz, oz - pz)
         best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
         sp, pp, node = ZERO, ZERO, ZERO
         while True:
             b = node * EIGHT
             t0, t1 = near_t, best
-            # Comparing this way round, a NaN (0 * inf: the ray lies in a face's plane) never narrows the interval.
-            a = (nodes[b + nx] - ox) * ix
-            t0 = a if a > t0 else t0
-            a = (nodes[b + ny] - oy) * iy
-            t0 = a if a > t0 else t0
-            a = (nodes[b + nz] - oz) * iz
-            t0 = a if a > t0 else t0
-            a = (nodes[b + fx] - ox) * ix
-            t1 = a if a < t1 else t1
-            a = (nodes[b + fy] - oy) * iy
-            t1 = a if a < t1 else t1
-            a = (nodes[b + fz] - oz) * iz
-            t1 = a if a < t1 else t1
-            if t0 * NARROWER - margin <= t1 * WIDER:
+            # Comparing this way round, a NaN (0 * inf: the ray lies in the moved plane) never narrows the interval.
+            t = (nodes[b + nx] - ax) * ix
+            t0 = t if t > t0 else t0
+            t = (nodes[b + ny] - ay) * iy
+            t0 = t if t > t0 else t0
+            t = (nodes[b + nz] - az) * iz
+            t0 = t if t > t0 else t0
+            t = (nodes[b + fx] - zx) * ix
+            t1 = t if t < t1 else t1
+            t = (nodes[b + fy] - zy) * iy
+            t1 = t if t < t1 else t1
+            t = (nodes[b + fz] - zz) * iz
+            t1 = t if t < t1 else t1
+            if t0 <= t1:
                 m, child = np.uint64(meta[b + SEVEN]), np.uint64(meta[b + SIX])
                 if m & THREE != LEAF:
                     if events is not None:
@@ -154,7 +159,7 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
                     n_events = _request_stack(stack, pp, events, n_events + ONE)
                     pp = ZERO
                 best, best_prim = _closest_in_leaf(
-                    prims, child, m >> TWO, tri, origin, ray, k, shear_, near_t, best, best_prim, any_hit
+                    prims, child, m >> TWO, tri, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
                 )
                 if any_hit and best_prim != NO_PRIM:
                     break
@@ -171,19 +176,19 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
         if events is not None:
             count[i] = n_events - start
         prim[i] = best_prim if best_prim != NO_PRIM else -1
-        t[i] = best if best_prim != NO_PRIM else np.inf
+        hit_t[i] = best if best_prim != NO_PRIM else np.inf
     return t_min.size
 
 
 @kernel
 def trace_kdtree(
-    nodes, meta, prims, tri, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, t, count, events
+    nodes, meta, prims, tri, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
 ):
     """Trace rays ``first``... through a kd-tree; as ``trace_bvh``.
 
-    The test against the scene's box is free. A ray lying in a split plane visits both cells with its whole interval; a
-    popped entry that begins beyond the best hit is skipped, and never ends the ray, because such rays put entries on the
-    stack out of order.
+    The test against the scene's box is free. A ray lying in a split plane (within the margin) visits both cells with its whole
+    interval; a popped entry that begins beyond the best hit is skipped, and never ends the ray, because such rays put
+    entries on the stack out of order.
     """
     stack = np.empty(max_level + 1, np.uint32)
     entry = np.empty(max_level + 1, np.float64)
@@ -199,18 +204,20 @@ def trace_kdtree(
         dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
         ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
         ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
+        px, py, pz, doubt = margins(bounds, ox, oy, oz, dx, dy, dz)
+        # The origin as seen from a plane's near and from its far side, as in trace_bvh; both zeros have an infinite inverse.
+        ax, zx = (ox - px, ox + px) if ix < 0.0 else (ox + px, ox - px)
+        ay, zy = (oy - py, oy + py) if iy < 0.0 else (oy + py, oy - py)
+        az, zz = (oz - pz, oz + pz) if iz < 0.0 else (oz + pz, oz - pz)
         best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
         t0, t1 = near_t, best
         for axis in range(THREE):
-            o = ox if axis == ZERO else (oy if axis == ONE else oz)
             inverse = ix if axis == ZERO else (iy if axis == ONE else iz)
-            near = ZERO if inverse >= 0.0 else THREE
-            a, z = (bounds[near + axis] - o) * inverse, (bounds[THREE - near + axis] - o) * inverse
-            t0 = a if a > t0 else t0
-            t1 = z if z < t1 else t1
-        margin = slack(bounds, ox, oy, oz, dx, dy, dz)
-        t0 = t0 * NARROWER - margin
-        t1 = t1 * WIDER + margin
+            near = THREE if inverse < 0.0 else ZERO
+            low = (bounds[near + axis] - (ax if axis == ZERO else (ay if axis == ONE else az))) * inverse
+            high = (bounds[THREE - near + axis] - (zx if axis == ZERO else (zy if axis == ONE else zz))) * inverse
+            t0 = low if low > t0 else t0
+            t1 = high if high < t1 else t1
         if t0 <= t1:
             k, shear_ = shear(dx, dy, dz)
             sp, pp, node = ZERO, ZERO, ZERO
@@ -219,18 +226,11 @@ def trace_kdtree(
                 m = np.uint64(meta[b + ONE])
                 axis = m & THREE
                 if axis != LEAF:
-                    o = ox if axis == ZERO else (oy if axis == ONE else oz)
                     inverse = ix if axis == ZERO else (iy if axis == ONE else iz)
-                    distance = nodes[b] - o
-                    a, z = distance * inverse * NARROWER, distance * inverse * WIDER
-                    low = (a if a < z else z) - margin
-                    high = (z if a < z else a) + margin
+                    low = (nodes[b] - (ax if axis == ZERO else (ay if axis == ONE else az))) * inverse
+                    high = (nodes[b] - (zx if axis == ZERO else (zy if axis == ONE else zz))) * inverse
                     upper_first = ONE if inverse < 0.0 else ZERO
                     visits_near, visits_far = high >= t0, low <= t1
-                    if abs(inverse) == np.inf:  # parallel to the plane: one side for good, or, lying in it, both
-                        upper_first = ONE if distance <= 0.0 else ZERO
-                        visits_near, visits_far = True, distance == 0.0
-                        low, high = t0, t1
                     child = m >> TWO
                     near = child + upper_first
                     far = child + ONE - upper_first
@@ -261,7 +261,7 @@ def trace_kdtree(
                         pp = ZERO
                 leaf = np.uint64(meta[b])
                 best, best_prim = _closest_in_leaf(
-                    prims, leaf, n_prims, tri, origin, ray, k, shear_, near_t, best, best_prim, any_hit
+                    prims, leaf, n_prims, tri, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
                 )
                 if any_hit and best_prim != NO_PRIM:
                     break
@@ -277,25 +277,26 @@ def trace_kdtree(
         if events is not None:
             count[i] = n_events - start
         prim[i] = best_prim if best_prim != NO_PRIM else -1
-        t[i] = best if best_prim != NO_PRIM else np.inf
+        hit_t[i] = best if best_prim != NO_PRIM else np.inf
     return t_min.size
 
 
 @kernel
-def trace_brute(tri, origin, direction, t_min, t_max, prim, t):
+def trace_brute(tri, bounds, origin, direction, t_min, t_max, prim, hit_t):
     """Closest hit against every triangle: the truth that both trees must reproduce bit by bit."""
     for ray in range(t_min.size):
         i = np.uint64(ray) * THREE
         dx, dy, dz = np.float64(direction[i]), np.float64(direction[i + ONE]), np.float64(direction[i + TWO])
         (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz)
         ox, oy, oz = np.float64(origin[i + kx]), np.float64(origin[i + ky]), np.float64(origin[i + kz])
+        doubt = margins(bounds, np.float64(origin[i]), np.float64(origin[i + ONE]), np.float64(origin[i + TWO]), dx, dy, dz)[3]
         best, best_prim = t_max[ray], NO_PRIM
         for c in range(tri.size // 9):
-            h = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
-            if h >= t_min[ray] and (h < best or (h == best and c < best_prim)):
-                best, best_prim = h, np.int32(c)
+            t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt)
+            if t >= t_min[ray] and (t < best or (t == best and c < best_prim)):
+                best, best_prim = t, np.int32(c)
         prim[ray] = best_prim if best_prim != NO_PRIM else -1
-        t[ray] = best if best_prim != NO_PRIM else np.inf
+        hit_t[ray] = best if best_prim != NO_PRIM else np.inf
 
 
 def make_rays(
@@ -310,9 +311,10 @@ def make_rays(
     """
     direction = np.ascontiguousarray(direction, np.float32).reshape(-1, 3)
     n = len(direction)
-    origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origin, np.float32), (n, 3)))
-    low = np.ascontiguousarray(np.broadcast_to(np.asarray(t_min, np.float64), n))
-    high = np.ascontiguousarray(np.broadcast_to(np.asarray(t_max, np.float64), n))
+    # Copies: a broadcast array is read-only, for which Numba would compile the kernels once more.
+    origin = np.broadcast_to(np.asarray(origin, np.float32), (n, 3)).copy()
+    low = np.broadcast_to(np.asarray(t_min, np.float64), n).copy()
+    high = np.broadcast_to(np.asarray(t_max, np.float64), n).copy()
     for name, bad, rule in (
         ("origin", ~np.isfinite(origin).all(axis=1), "all components must be finite"),
         ("direction", ~np.isfinite(direction).all(axis=1), "all components must be finite"),
@@ -322,8 +324,8 @@ def make_rays(
     ):
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
-            value = {"origin": origin, "direction": direction, "t_min": low, "t_max": high}[name][i]
-            raise ValueError(f"ray {i} has {name} {value}: {rule}; {int(bad.sum())} of {n} rays are bad")
+            values: dict[str, np.ndarray] = {"origin": origin, "direction": direction, "t_min": low, "t_max": high}
+            raise ValueError(f"ray {i} has {name} {values[name][i]}: {rule}; {int(bad.sum())} of {n} rays are bad")
     return Rays(origin, direction, low, high)
 
 
@@ -373,5 +375,8 @@ def trace_all(triangles: np.ndarray, rays: Rays) -> Hits:
     """Return the closest hits by testing every triangle."""
     n = len(rays.t_min)
     prim, t = np.empty(n, np.int32), np.empty(n, np.float64)
-    trace_brute(triangles.reshape(-1), rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max, prim, t)
+    corners = triangles.reshape(-1, 3)
+    bounds = np.concatenate([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else np.zeros(6, np.float32)
+    given = (rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max)
+    trace_brute(triangles.reshape(-1), bounds, *given, prim, t)
     return Hits(prim, t)

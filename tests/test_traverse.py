@@ -188,3 +188,29 @@ def test_a_trace_longer_than_its_buffer_goes_on_in_another(monkeypatch):
 def test_bad_rays_are_refused(origin, direction, t_min, words):
     with pytest.raises(ValueError, match=words):
         make_rays(origin, direction, t_min)
+
+
+def bundle(rng, n_triangles, n_rays):
+    """Triangles that lie nearly along one line, by any factor, and rays beside it: nothing is more nearly edge-on."""
+    origin, along = rng.uniform(-1, 1, 3), rng.normal(size=3)
+    depth = rng.uniform(1, 4, (n_triangles, 3, 1))
+    aside = rng.normal(size=(n_triangles, 3, 3)) * 10.0 ** -rng.uniform(0, 9, (n_triangles, 1, 1))
+    triangles = (origin + depth * along + aside).astype(np.float32)
+    starts = origin + rng.normal(size=(n_rays, 3)) * 10.0 ** -rng.uniform(0, 9, (n_rays, 1))
+    inner = (triangles[rng.integers(0, n_triangles, n_rays)] * rng.dirichlet([1, 1, 1], n_rays)[..., None]).sum(axis=1)
+    at_corner = rng.random(n_rays) < 0.3
+    inner[at_corner] = triangles[rng.integers(0, n_triangles, n_rays), rng.integers(0, 3, n_rays)][at_corner]
+    return triangles, make_rays(starts, inner - starts.astype(np.float32))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_nearly_edge_on_triangles_equal_brute_force(seed):
+    triangles, rays = bundle(np.random.default_rng([seed, 4]), 40, 1000)
+    truth = trace_all(triangles, rays)
+    assert (truth.prim >= 0).sum() > 250
+    for build in BUILDERS.values():
+        tree = build(triangles)
+        hits, shadow = trace(tree, rays), trace(tree, rays, any_hit=True)
+        np.testing.assert_array_equal(hits.prim, truth.prim)
+        np.testing.assert_array_equal(hits.t, truth.t)
+        np.testing.assert_array_equal(shadow.prim >= 0, truth.prim >= 0)

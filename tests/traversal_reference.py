@@ -5,11 +5,13 @@ Python floats are IEEE doubles, so results are compared bit by bit.
 """
 
 import math
+from fractions import Fraction
 
 import numpy as np
 
 READ, PUSH, LEAF, PREFETCH = 0, 1, 2, 3
-PAD = 2.0**-40
+PAD, ORIGIN_PAD, LEAST_PAD = 2.0**-44, 2.0**-50, 1e-300
+DOUBT, THIN = 2.0**-50, 2.0**-6
 
 
 class PrefetchUnit:
@@ -53,22 +55,30 @@ def triangle_hit(corners, origin, direction):
     shear_x, shear_y, scale = direction[kx] / direction[kz], direction[ky] / direction[kz], 1.0 / direction[kz]
     moved = [[corner[k] - origin[k] for k in range(3)] for corner in corners]
     (ax, ay), (bx, by), (cx, cy) = [(p[kx] - shear_x * p[kz], p[ky] - shear_y * p[kz]) for p in moved]
-    u, v, w = cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax
-    if min(u, v, w) < 0 < max(u, v, w):
+    pairs = [(cx, by, cy, bx), (ax, cy, ay, cx), (bx, ay, by, ax)]
+    u, v, w = (a * b - c * d for a, b, c, d in pairs)
+    size = 0.0
+    for a, b, c, d in pairs:
+        size = size + abs(a * b) + abs(c * d)
+    if abs(u + v + w) <= THIN * size or min(abs(u), abs(v), abs(w)) <= DOUBT * size:
+        u, v, w = (accurate_difference(*pair) for pair in pairs)
+    # Signs as exact arithmetic on the sheared corners has them: the kernel must not differ, whatever it leaves out.
+    exact = [Fraction(a) * Fraction(b) - Fraction(c) * Fraction(d) for a, b, c, d in pairs]
+    assert [(x > 0) - (x < 0) for x in exact] == [(x > 0) - (x < 0) for x in (u, v, w)]
+    if min(exact) < 0 < max(exact):
         return None
     det = u + v + w
     if det == 0.0:
         return None
-    # A triangle that is edge-on but for rounding is a line: it counts between its ends only.
-    xs, ys, noise = (ax, bx, cx), (ay, by, cy), 2.0**-48
-    wide, tall = max(map(abs, xs)), max(map(abs, ys))
-    if abs(det) <= noise * wide * tall:
-        for values, size in ((xs, wide), (ys, tall)):
-            if min(values) > noise * size or max(values) < -noise * size:
-                return None
     depths = [p[kz] for p in moved]
-    depth = (u * depths[0] + v * depths[1] + w * depths[2]) / det
-    return scale * max(min(depth, max(depths)), min(depths))
+    return (u * depths[0] + v * depths[1] + w * depths[2]) / det * scale
+
+
+def accurate_difference(a, b, c, d):
+    """Return a * b - c * d from the rounded products and what their rounding lost, both as floats."""
+    p, q = a * b, c * d
+    lost = [float(Fraction(x) * Fraction(y) - Fraction(product)) for x, y, product in ((a, b, p), (c, d, q))]
+    return (p - q) + (lost[0] - lost[1])
 
 
 class Nearest:
@@ -87,23 +97,41 @@ class Nearest:
         return (-1, math.inf) if self.prim is None else (self.prim, self.t)
 
 
-def margin_of(tree, origin, direction):
-    """Return the absolute margin of a ray: as far as rounding may move the t of a triangle of this scene, generously."""
-    reach = max(abs(float(corner[k]) - origin[k]) for corner in tree.bounds for k in range(3))
-    return PAD * reach / max(abs(d) for d in direction)
+class Seen:
+    """The ray's origin as seen from the near and the far sides of planes: moved so that planes lie a margin farther out."""
+
+    def __init__(self, tree, origin, direction):
+        lower, upper = (b.astype(float).tolist() for b in tree.bounds)
+        reach = [max(abs(lower[k] - origin[k]), abs(upper[k] - origin[k])) for k in range(3)]
+        size = [abs(d) for d in direction]
+        z = size.index(max(size))
+        along = reach[z] / size[z]
+        self.inverse = [divide(1.0, d) for d in direction]
+        self.near, self.far = [], []
+        for k in range(3):
+            pad = PAD * (reach[k] + along * size[k]) + ORIGIN_PAD * abs(origin[k]) + LEAST_PAD
+            if self.inverse[k] < 0:
+                pad = -pad
+            self.near.append(origin[k] + pad)
+            self.far.append(origin[k] - pad)
+
+    def enters(self, k, plane):
+        return times(plane - self.near[k], self.inverse[k])
+
+    def leaves(self, k, plane):
+        return times(plane - self.far[k], self.inverse[k])
 
 
-def box_interval(lower, upper, origin, direction, t_min, t_max):
-    """Return the ray's interval in a box; a face in whose plane the ray lies does not narrow it."""
+def box_interval(lower, upper, seen, t_min, t_max):
+    """Return the ray's interval in a box; a face in whose moved plane the ray lies does not narrow it."""
     for k in range(3):
-        inverse = divide(1.0, direction[k])
-        near, far = (lower[k], upper[k]) if inverse >= 0 else (upper[k], lower[k])
-        enters, leaves = times(near - origin[k], inverse), times(far - origin[k], inverse)
+        near, far = (upper[k], lower[k]) if seen.inverse[k] < 0 else (lower[k], upper[k])
+        enters, leaves = seen.enters(k, near), seen.leaves(k, far)
         if not math.isnan(enters):
             t_min = max(t_min, enters)
         if not math.isnan(leaves):
             t_max = min(t_max, leaves)
-    return t_min * (1 - PAD), t_max * (1 + PAD)
+    return t_min, t_max
 
 
 def times(a, b):
@@ -129,18 +157,18 @@ def _test_leaf(tree, first, count, origin, direction, best, any_hit):
 
 def _traverse_bvh(tree, origin, direction, best, any_hit, events):
     unit = PrefetchUnit()
-    margin = margin_of(tree, origin, direction)
+    seen = Seen(tree, origin, direction)
     number = 0
     while number is not None:
         node = tree.nodes[number]
         lower, upper = node["lower"].astype(float).tolist(), node["upper"].astype(float).tolist()
-        enters, leaves = box_interval(lower, upper, origin, direction, best.t_min, best.t)
+        enters, leaves = box_interval(lower, upper, seen, best.t_min, best.t)
         child, axis, count = int(node["child"]), int(node["meta"]) & 3, int(node["meta"]) >> 2
-        if not enters - margin <= leaves:
+        if not enters <= leaves:
             events.append((number, READ))
         elif axis != 3:
             events.append((number, PUSH))
-            backwards = divide(1.0, direction[axis]) < 0
+            backwards = seen.inverse[axis] < 0
             number, second = (child + 1, child) if backwards else (child, child + 1)
             unit.push((second,))
             continue
@@ -155,9 +183,8 @@ def _traverse_bvh(tree, origin, direction, best, any_hit, events):
 
 def _traverse_kdtree(tree, origin, direction, best, any_hit, events):
     lower, upper = (b.astype(float).tolist() for b in tree.bounds)
-    enters, leaves = box_interval(lower, upper, origin, direction, best.t_min, best.t)
-    margin = margin_of(tree, origin, direction)
-    enters, leaves = enters - margin, leaves + margin
+    seen = Seen(tree, origin, direction)
+    enters, leaves = box_interval(lower, upper, seen, best.t_min, best.t)
     if not enters <= leaves:
         return
     unit = PrefetchUnit()
@@ -181,23 +208,16 @@ def _traverse_kdtree(tree, origin, direction, best, any_hit, events):
                 return
             continue
         below, above = meta >> 2, (meta >> 2) + 1
-        distance = float(node["split"]) - origin[axis]
-        if direction[axis] == 0.0:
-            # Parallel: one side for good, or, lying in the plane, both with the whole interval.
-            near, far = (above, below) if distance <= 0 else (below, above)
-            visits = [(near, enters, leaves)] + ([(far, enters, leaves)] if distance == 0 else [])
-        else:
-            near, far = (below, above) if direction[axis] > 0 else (above, below)
-            at = distance * divide(1.0, direction[axis])
-            sooner, later = sorted((at * (1 - PAD), at * (1 + PAD)))
-            sooner, later = sooner - margin, later + margin
-            visits = []
-            if later >= enters:
-                visits.append((near, enters, min(leaves, later)))
-            if sooner <= leaves:
-                visits.append((far, max(enters, sooner), leaves))
-            if len(visits) == 1:
-                visits = [(visits[0][0], enters, leaves)]
+        near, far = (above, below) if seen.inverse[axis] < 0 else (below, above)
+        split = float(node["split"])
+        sooner, later = seen.enters(axis, split), seen.leaves(axis, split)
+        visits = []
+        if later >= enters:
+            visits.append((near, enters, min(leaves, later)))
+        if sooner <= leaves:
+            visits.append((far, max(enters, sooner), leaves))
+        if len(visits) == 1:
+            visits = [(visits[0][0], enters, leaves)]
         if len(visits) == 2:
             events.append((number, PUSH))
             unit.push(visits[1])

@@ -11,21 +11,37 @@
 
 namespace {
 
-constexpr double kPad = 1.0 / (1ull << 40);
-constexpr double kNarrower = 1.0 - kPad, kWider = 1.0 + kPad;
+constexpr double kPad = 0x1p-44, kOriginPad = 0x1p-50, kLeastPad = 1e-300, kDoubt = 0x1p-50, kThin = 0x1p-6;
 constexpr int32_t kNoPrim = std::numeric_limits<int32_t>::max();
 constexpr uint32_t kRead = 0, kPush = 1, kEnter = 2, kPrefetch = 3, kLeaf = 3;
 
-struct Ray {
-    double o[3], d[3], inverse[3];
-    int kx, ky, kz;
-    double sx, sy, sz;
+// a * b - product, exactly (Dekker 1971).
+double lost_by(double a, double b, double product) {
+    constexpr double kSplitter = 0x1p27 + 1.0;
+    double t = kSplitter * a;
+    const double a_high = t - (t - a), a_low = a - a_high;
+    t = kSplitter * b;
+    const double b_high = t - (t - b), b_low = b - b_high;
+    return ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low;
+}
 
-    Ray(const float* origin, const float* direction) {
+double difference(double a, double b, double c, double d) {
+    const double p = a * b, q = c * d;
+    return (p - q) + (lost_by(a, b, p) - lost_by(c, d, q));
+}
+
+struct Ray {
+    double o[3], d[3], inverse[3], near[3], far[3];
+    int kx, ky, kz;
+    double sx, sy, sz, doubt;
+
+    Ray(const float* origin, const float* direction, const float* bounds) {
+        double reach[3];
         for (int k = 0; k < 3; ++k) {
             o[k] = origin[k];
             d[k] = direction[k];
             inverse[k] = 1.0 / d[k];
+            reach[k] = std::max(std::abs(bounds[k] - o[k]), std::abs(bounds[3 + k] - o[k]));
         }
         const double ax = std::abs(d[0]), ay = std::abs(d[1]), az = std::abs(d[2]);
         kz = ax >= ay && ax >= az ? 0 : (ay >= az ? 1 : 2);
@@ -34,38 +50,37 @@ struct Ray {
         sx = d[kx] / d[kz];
         sy = d[ky] / d[kz];
         sz = 1.0 / d[kz];
-    }
-
-    // Absolute margin of the culling tests: see slack() in rtrace/intersect.py.
-    double slack(const float* bounds) const {
-        double reach = 0.0, size = 0.0;
+        // Margins of the culling tests: see rtrace/intersect.py.
+        const double along = reach[kz] / std::abs(d[kz]);
+        doubt = kDoubt * (reach[kx] + along * std::abs(d[kx])) * (reach[ky] + along * std::abs(d[ky]));
         for (int k = 0; k < 3; ++k) {
-            reach = std::max({reach, std::abs(bounds[k] - o[k]), std::abs(bounds[3 + k] - o[k])});
-            size = std::max(size, std::abs(d[k]));
+            double pad = kPad * (reach[k] + along * std::abs(d[k])) + kOriginPad * std::abs(o[k]) + kLeastPad;
+            if (inverse[k] < 0.0) pad = -pad;
+            near[k] = o[k] + pad;
+            far[k] = o[k] - pad;
         }
-        return kPad * reach / size;
     }
 
     // Ray parameter of the hit with the triangle at v, NaN for none (Woop, Benthin, Wald 2013).
     double hit(const float* v) const {
+        constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
         const double az = v[kz] - o[kz], bz = v[3 + kz] - o[kz], cz = v[6 + kz] - o[kz];
         const double ax = (v[kx] - o[kx]) - sx * az, ay = (v[ky] - o[ky]) - sy * az;
         const double bx = (v[3 + kx] - o[kx]) - sx * bz, by = (v[3 + ky] - o[ky]) - sy * bz;
         const double cx = (v[6 + kx] - o[kx]) - sx * cz, cy = (v[6 + ky] - o[ky]) - sy * cz;
-        const double u = cx * by - cy * bx, w = ax * cy - ay * cx, q = bx * ay - by * ax;
-        const double low = std::min(std::min(u, w), q), high = std::max(std::max(u, w), q);
-        const double det = u + w + q;
-        if ((low < 0.0 && high > 0.0) || det == 0.0) return std::numeric_limits<double>::quiet_NaN();
-        constexpr double kNoise = kPad / 256;
-        const double wide = std::max({std::abs(ax), std::abs(bx), std::abs(cx)});
-        const double tall = std::max({std::abs(ay), std::abs(by), std::abs(cy)});
-        if (std::abs(det) <= kNoise * wide * tall) {
-            const bool beside = std::min({ax, bx, cx}) > kNoise * wide || std::max({ax, bx, cx}) < -kNoise * wide;
-            const bool above = std::min({ay, by, cy}) > kNoise * tall || std::max({ay, by, cy}) < -kNoise * tall;
-            if (beside || above) return std::numeric_limits<double>::quiet_NaN();
+        double u = cx * by - cy * bx, w = ax * cy - ay * cx, q = bx * ay - by * ax;
+        if (std::min(std::min(u, w), q) < -doubt && std::max(std::max(u, w), q) > doubt) return kNone;
+        double det = u + w + q;
+        const double size = std::abs(cx * by) + std::abs(cy * bx) + std::abs(ax * cy) + std::abs(ay * cx) +
+                            std::abs(bx * ay) + std::abs(by * ax);
+        if (std::abs(det) <= kThin * size || std::min({std::abs(u), std::abs(w), std::abs(q)}) <= kDoubt * size) {
+            u = difference(cx, by, cy, bx);
+            w = difference(ax, cy, ay, cx);
+            q = difference(bx, ay, by, ax);
+            det = u + w + q;
         }
-        const double depth = (u * az + w * bz + q * cz) / det;
-        return sz * std::max(std::min(depth, std::max({az, bz, cz})), std::min({az, bz, cz}));
+        if ((std::min({u, w, q}) < 0.0 && std::max({u, w, q}) > 0.0) || det == 0.0) return kNone;
+        return (u * az + w * bz + q * cz) / det * sz;
     }
 };
 
@@ -110,7 +125,7 @@ extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int
     std::vector<uint32_t> stack(max_level + 1);
     Trace trace{events};
     for (int64_t i = 0; i < n_rays; ++i) {
-        const Ray ray(origin + 3 * i, direction + 3 * i);
+        const Ray ray(origin + 3 * i, direction + 3 * i, nodes);
         Best best{t_min[i], t_max[i], kNoPrim, any_hit != 0};
         int near[3], far[3];
         uint32_t backwards = 0;
@@ -121,18 +136,18 @@ extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int
             backwards |= static_cast<uint32_t>(negative) << k;
         }
         const int64_t start = trace.n;
-        const double margin = ray.slack(nodes);
         int sp = 0, pp = 0;
         uint32_t node = 0;
         for (;;) {
             const float* box = nodes + 8 * static_cast<int64_t>(node);
             double t0 = best.t_min, t1 = best.t;
             for (int k = 0; k < 3; ++k) {
-                const double a = (box[near[k]] - ray.o[k]) * ray.inverse[k], z = (box[far[k]] - ray.o[k]) * ray.inverse[k];
+                const double a = (box[near[k]] - ray.near[k]) * ray.inverse[k];
+                const double z = (box[far[k]] - ray.far[k]) * ray.inverse[k];
                 t0 = a > t0 ? a : t0;
                 t1 = z < t1 ? z : t1;
             }
-            if (t0 * kNarrower - margin <= t1 * kWider) {
+            if (t0 <= t1) {
                 const uint32_t child = meta[8 * static_cast<int64_t>(node) + 6], m = meta[8 * static_cast<int64_t>(node) + 7];
                 if ((m & 3) != kLeaf) {
                     trace.add(node, kPush);
@@ -170,38 +185,27 @@ extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const 
     std::vector<Entry> stack(max_level + 1);
     Trace trace{events};
     for (int64_t i = 0; i < n_rays; ++i) {
-        const Ray ray(origin + 3 * i, direction + 3 * i);
+        const Ray ray(origin + 3 * i, direction + 3 * i, bounds);
         Best best{t_min[i], t_max[i], kNoPrim, any_hit != 0};
         const int64_t start = trace.n;
         double t0 = best.t_min, t1 = best.t;
         for (int k = 0; k < 3; ++k) {
-            const int near = ray.inverse[k] >= 0.0 ? k : k + 3, far = ray.inverse[k] >= 0.0 ? k + 3 : k;
-            const double a = (bounds[near] - ray.o[k]) * ray.inverse[k], z = (bounds[far] - ray.o[k]) * ray.inverse[k];
+            const int near = ray.inverse[k] < 0.0 ? k + 3 : k, far = ray.inverse[k] < 0.0 ? k : k + 3;
+            const double a = (bounds[near] - ray.near[k]) * ray.inverse[k];
+            const double z = (bounds[far] - ray.far[k]) * ray.inverse[k];
             t0 = a > t0 ? a : t0;
             t1 = z < t1 ? z : t1;
         }
-        const double margin = ray.slack(bounds);
-        t0 = t0 * kNarrower - margin;
-        t1 = t1 * kWider + margin;
         int sp = 0, pp = 0;
         uint32_t node = 0;
         while (t0 <= t1) {
             const uint32_t m = meta[2 * static_cast<int64_t>(node) + 1];
             const uint32_t axis = m & 3;
             if (axis != kLeaf) {
-                const double inverse = ray.inverse[axis];
-                const double distance = nodes[2 * static_cast<int64_t>(node)] - ray.o[axis];
-                const double a = distance * inverse * kNarrower, z = distance * inverse * kWider;
-                double low = std::min(a, z) - margin, high = std::max(a, z) + margin;
-                uint32_t upper_first = inverse < 0.0;
-                bool visits_near = high >= t0, visits_far = low <= t1;
-                if (std::isinf(inverse)) {
-                    upper_first = distance <= 0.0;
-                    visits_near = true;
-                    visits_far = distance == 0.0;
-                    low = t0;
-                    high = t1;
-                }
+                const double split = nodes[2 * static_cast<int64_t>(node)], inverse = ray.inverse[axis];
+                const double low = (split - ray.near[axis]) * inverse, high = (split - ray.far[axis]) * inverse;
+                const uint32_t upper_first = inverse < 0.0;
+                const bool visits_near = high >= t0, visits_far = low <= t1;
                 const uint32_t near = (m >> 2) + upper_first, far = (m >> 2) + 1 - upper_first;
                 if (visits_far && visits_near) {
                     trace.add(node, kPush);
