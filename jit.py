@@ -29,7 +29,7 @@ def kernel_digest() -> str:
         digest.update(version.encode() + b"\0")
     for path in sorted(p for package in _PACKAGES for p in _HERE.glob(f"{package}/*.py")):
         source = path.read_bytes()
-        if b"from jit import" in source:
+        if b"from jit import" in source or b"from numba" in source:
             digest.update(path.name.encode() + b"\0" + source)
     return digest.hexdigest()[:16]
 

@@ -249,4 +249,6 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     flat = (boxes.reshape(-1), nodes.view(np.float32), nodes.view(np.uint32), prims)
     n_nodes, max_level = _build(orders, builder == "binned", centroids.reshape(-1), *flat, n)
     bounds = np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
-    return Tree("bvh", nodes[:n_nodes].copy(), prims, triangles, bounds, int(max_level), {"builder": builder})
+    return Tree(
+        "bvh", nodes[:n_nodes].copy(), prims, triangles[prims], triangles, bounds, int(max_level), {"builder": builder}
+    )

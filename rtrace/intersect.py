@@ -18,8 +18,11 @@ from jit import inlined, kernel
 PAD = 2.0**-44
 #: Rounding of origin + margin, relative to the origin.
 ORIGIN_PAD = 2.0**-50
-#: Keeps the margin of a ray in a plane, whose sums may vanish, above zero.
-LEAST_PAD = 1e-300
+#: Keeps the margin of a ray in a plane, whose sums may vanish, above zero; times ``HUGE`` it is beyond any t.
+LEAST_PAD = 1e-100
+#: The inverse of a zero: finite, so that no product with it is undefined. With it a ray is inside a slab, by its margin, from
+#: before any t to after any t, or never.
+HUGE = float(np.finfo(np.float64).max)
 
 #: An edge function is the difference of two products, each rounded by 2^-53 of itself: below this share of the largest
 #: products possible its sign may be that of the rounding.
@@ -34,22 +37,30 @@ X, Y, Z, SECOND, THIRD = (np.uint64(k) for k in (0, 1, 2, 3, 6))  # unsigned: se
 _SPLITTER = 2.0**27 + 1.0
 
 
+@inlined
+def inverse(d):
+    """Return 1 / d, for either zero a huge number of its sign."""
+    return 1.0 / d if d != 0.0 else np.copysign(HUGE, d)
+
+
 @kernel
-def shear(dx, dy, dz):
+def shear(dx, dy, dz, ix, iy, iz):
     """Return ((kx, ky, kz), (sx, sy, sz)): the axis permutation and shear that take the direction to +z.
+
+    ``ix``, ``iy``, ``iz`` are the inverses of the direction's components.
 
     Woop, Benthin, Wald 2013, "Watertight Ray/Triangle Intersection", Sec. 3: kz is the axis of the largest component.
     """
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
-        return (Y, Z, X), (dy / dx, dz / dx, 1.0 / dx)
+        return (Y, Z, X), (dy * ix, dz * ix, ix)
     if ay >= az:
-        return (Z, X, Y), (dz / dy, dx / dy, 1.0 / dy)
-    return (X, Y, Z), (dx / dz, dy / dz, 1.0 / dz)
+        return (Z, X, Y), (dz * iy, dx * iy, iy)
+    return (X, Y, Z), (dx * iz, dy * iz, iz)
 
 
 @inlined
-def margins(bounds, ox, oy, oz, dx, dy, dz):
+def margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz):
     """Return (x, y, z, doubt): how far the culling tests are moved along each axis, and the ray's bound for ``triangle_t``.
 
     ``bounds[0:6]`` is the box of all triangles. Rounding moves a corner beside the ray by a share of its distance along that
@@ -60,13 +71,13 @@ def margins(bounds, ox, oy, oz, dx, dy, dz):
     z = max(abs(bounds[Z] - oz), abs(bounds[SECOND + Z] - oz))
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
-        along = x / ax
+        along = x * abs(ix)
         wide, tall = y + along * ay, z + along * az
     elif ay >= az:
-        along = y / ay
+        along = y * abs(iy)
         wide, tall = z + along * az, x + along * ax
     else:
-        along = z / az
+        along = z * abs(iz)
         wide, tall = x + along * ax, y + along * ay
     px = PAD * (x + along * ax) + ORIGIN_PAD * abs(ox) + LEAST_PAD
     py = PAD * (y + along * ay) + ORIGIN_PAD * abs(oy) + LEAST_PAD

@@ -446,7 +446,8 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         "max_refs": int(max_refs),
     }
     nodes = nodes[: 2 * state[_NODES]].copy().view(KD_NODE)
-    return Tree("kdtree", nodes, prims[: state[_REFS]].copy(), triangles, bounds, int(state[_DEEPEST]), params)
+    prims = prims[: state[_REFS]].copy()
+    return Tree("kdtree", nodes, prims, triangles[prims], triangles, bounds, int(state[_DEEPEST]), params)
 
 
 @kernel

@@ -38,6 +38,8 @@ class Tree(NamedTuple):
     nodes : (n_nodes,) KD_NODE or BVH_NODE
     prims : (n_refs,) int32
         Triangle numbers, leaf by leaf, ascending inside a leaf.
+    corners : (n_refs, 3, 3) float32
+        The triangles of ``prims``, in that order: a leaf's lie side by side.
     triangles : (n_triangles, 3, 3) float32
         The scene's triangles, in their own order.
     bounds : (2, 3) float32
@@ -51,6 +53,7 @@ class Tree(NamedTuple):
     kind: str
     nodes: np.ndarray
     prims: np.ndarray
+    corners: np.ndarray
     triangles: np.ndarray
     bounds: np.ndarray
     max_level: int

@@ -10,6 +10,7 @@ Rules that hold for both trees (reasons in docs/correctness.md):
 - A hit counts when t_min <= t <= t_max. Among equal t the lowest triangle number wins, so culling keeps equals.
 - The pre-fetch unit of Park et al. 2013, Sec. 3: a push sets its pointer to the stack top, a pop lowers it to the top; at a
   non-empty leaf, before its triangles are tested, it requests the nodes below its pointer, which stays where it stops.
+  Between two pushes the top only falls, so it is enough to lower the pointer at the leaf.
 """
 
 from typing import NamedTuple
@@ -18,17 +19,18 @@ import numpy as np
 
 from jit import inlined, kernel
 from rtrace import nodes as layout
-from rtrace.intersect import NO_PRIM, margins, shear, triangle_t
+from rtrace.intersect import NO_PRIM, inverse, margins, shear, triangle_t
+from rtrace.lanes import larger, load, pack, scaled_difference, smaller, unpack
 from rtrace.nodes import Tree, words
 from traces import format as contract
 
 # Indices are uint64 throughout: Numba tests a signed index for wrap-around at every access, which made the kd-tree half as
 # fast. A plain integer next to a uint64 becomes signed, hence the names.
-ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE = (np.uint64(k) for k in range(10))
+ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE, TEN = (np.uint64(k) for k in range(11))
 LEAF = np.uint64(layout.LEAF)
 READ, PUSH, ENTER, PREFETCH = (np.uint64(k) for k in (contract.READ, contract.PUSH, contract.LEAF, contract.PREFETCH))
 
-#: Room for the events of a batch at first, per ray; a batch that needs more goes on in a further buffer.
+#: Room for the events of a batch at first, per ray; a batch that needs more gets it.
 EVENTS_PER_RAY = 64
 
 
@@ -65,14 +67,14 @@ class Hits(NamedTuple):
 
 
 @inlined
-def _closest_in_leaf(prims, first, n_prims, tri, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit):
+def _closest_in_leaf(prims, first, n_prims, corners, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit):
     """Test the triangles of a leaf; return the better of (best, best_prim) and the best hit among them."""
     kx, ky, kz = k
     sx, sy, sz = shear_
     ox, oy, oz = np.float64(origin[ray + kx]), np.float64(origin[ray + ky]), np.float64(origin[ray + kz])
     for i in range(first, first + n_prims):
         c = prims[i]
-        t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt)
+        t = triangle_t(corners, i * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt)
         if t >= near_t and (t < best or (t == best and c < best_prim)):
             best, best_prim = t, c
             if any_hit:
@@ -91,11 +93,13 @@ def _request_stack(stack, pp, events, n_events):
 
 
 @kernel
-def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events):
+def trace_bvh(
+    nodes, meta, prims, corners, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
+):
     """Trace rays ``first``... through a BVH; return the first ray that did not fit into ``events``, else their number.
 
     The far child is pushed untested; a node is read and its own box tested when it is visited.
-    ``nodes`` and ``meta`` are the nodes as flat float32 and uint32; ``tri``, ``origin``, ``direction`` are flat.
+    ``nodes`` and ``meta`` are the nodes as flat float32 and uint32; ``corners``, ``origin``, ``direction`` are flat.
     ``prim``, ``hit_t`` and ``count`` (accesses of each ray) are filled. Stores into ``events`` are unguarded: between two pops
     a ray writes at most one event per level and one per stack entry, so room for that is checked at each pop.
     """
@@ -110,38 +114,30 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
         ray = i * THREE
         dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
         ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
-        ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
-        # Words of the box's near and far face, per axis. The sign comes from the inverse: the direction -0.0 has the inverse
-        # -inf, and -0.0 < 0 is false.
-        nx, fx = (THREE, ZERO) if ix < 0.0 else (ZERO, THREE)
-        ny, fy = (FOUR, ONE) if iy < 0.0 else (ONE, FOUR)
-        nz, fz = (FIVE, TWO) if iz < 0.0 else (TWO, FIVE)
+        ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
         # Bit k: the direction is negative along axis k, so the upper child of a node split there comes first.
         backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
-        k, shear_ = shear(dx, dy, dz)
-        px, py, pz, doubt = margins(nodes, ox, oy, oz, dx, dy, dz)  # node 0 begins with the box of all triangles
-        # The origin as seen from the near and from the far faces: farther off than it is, so that they lie farther out.
-        ax, zx = (ox - px, ox + px) if ix < 0.0 else (ox + px, ox - px)
-        ay, zy = (oy - py, oy + py) if iy < 0.0 else (oy + py, oy - py)
-        az, zz = (oz - pz, oz + pz) if iz < 0.0 else (oz + pz, oz - pz)
+        k, shear_ = shear(dx, dy, dz, ix, iy, iz)
+        px, py, pz, doubt = margins(nodes, ox, oy, oz, dx, dy, dz, ix, iy, iz)  # node 0 begins with the box of all triangles
+        # The origin as seen from a box's lower and upper faces: so moved that they lie a margin farther out.
+        from_lower, from_upper = pack(ox + px, oy + py, oz + pz), pack(ox - px, oy - py, oz - pz)
+        scale = pack(ix, iy, iz)
         best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
         sp, pp, node = ZERO, ZERO, ZERO
         while True:
             b = node * EIGHT
             t0, t1 = near_t, best
-            # Comparing this way round, a NaN (0 * inf: the ray lies in the moved plane) never narrows the interval.
-            t = (nodes[b + nx] - ax) * ix
-            t0 = t if t > t0 else t0
-            t = (nodes[b + ny] - ay) * iy
-            t0 = t if t > t0 else t0
-            t = (nodes[b + nz] - az) * iz
-            t0 = t if t > t0 else t0
-            t = (nodes[b + fx] - zx) * ix
-            t1 = t if t < t1 else t1
-            t = (nodes[b + fy] - zy) * iy
-            t1 = t if t < t1 else t1
-            t = (nodes[b + fz] - zz) * iz
-            t1 = t if t < t1 else t1
+            # The fourth lanes hold the next word of the node and are not looked at.
+            lower = scaled_difference(load(nodes, b), from_lower, scale)
+            upper = scaled_difference(load(nodes, b + THREE), from_upper, scale)
+            x, y, z = unpack(smaller(lower, upper))
+            t0 = x if x > t0 else t0
+            t0 = y if y > t0 else t0
+            t0 = z if z > t0 else t0
+            x, y, z = unpack(larger(lower, upper))
+            t1 = x if x < t1 else t1
+            t1 = y if y < t1 else t1
+            t1 = z if z < t1 else t1
             if t0 <= t1:
                 m, child = np.uint64(meta[b + SEVEN]), np.uint64(meta[b + SIX])
                 if m & THREE != LEAF:
@@ -156,10 +152,10 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
                     continue
                 if events is not None:
                     events[n_events] = node << TWO | ENTER
-                    n_events = _request_stack(stack, pp, events, n_events + ONE)
+                    n_events = _request_stack(stack, min(pp, sp), events, n_events + ONE)
                     pp = ZERO
                 best, best_prim = _closest_in_leaf(
-                    prims, child, m >> TWO, tri, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
+                    prims, child, m >> TWO, corners, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
                 )
                 if any_hit and best_prim != NO_PRIM:
                     break
@@ -171,7 +167,6 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
             if events is not None and n_events > limit:
                 return np.int64(i)
             sp -= ONE
-            pp = min(pp, sp)
             node = np.uint64(stack[sp])
         if events is not None:
             count[i] = n_events - start
@@ -182,7 +177,7 @@ def trace_bvh(nodes, meta, prims, tri, max_level, origin, direction, t_min, t_ma
 
 @kernel
 def trace_kdtree(
-    nodes, meta, prims, tri, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
+    nodes, meta, prims, corners, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
 ):
     """Trace rays ``first``... through a kd-tree; as ``trace_bvh``.
 
@@ -191,6 +186,7 @@ def trace_kdtree(
     entries on the stack out of order.
     """
     stack = np.empty(max_level + 1, np.uint32)
+    seen = np.empty(12, np.float64)
     entry = np.empty(max_level + 1, np.float64)
     exit_ = np.empty(max_level + 1, np.float64)
     n_events, limit = ZERO, ZERO
@@ -203,33 +199,33 @@ def trace_kdtree(
         ray = i * THREE
         dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
         ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
-        ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
-        px, py, pz, doubt = margins(bounds, ox, oy, oz, dx, dy, dz)
-        # The origin as seen from a plane's near and from its far side, as in trace_bvh; both zeros have an infinite inverse.
-        ax, zx = (ox - px, ox + px) if ix < 0.0 else (ox + px, ox - px)
-        ay, zy = (oy - py, oy + py) if iy < 0.0 else (oy + py, oy - py)
-        az, zz = (oz - pz, oz + pz) if iz < 0.0 else (oz + pz, oz - pz)
+        ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
+        px, py, pz, doubt = margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz)
+        # Per axis: the inverse, and the origin as seen from a plane's near and far side, so moved that it lies a margin
+        # farther out. A table: choosing among three variables at every node took a fifth more time.
+        seen[ZERO], seen[ONE], seen[TWO] = ix, iy, iz
+        seen[FOUR], seen[FIVE], seen[SIX] = ox + np.copysign(px, ix), oy + np.copysign(py, iy), oz + np.copysign(pz, iz)
+        seen[EIGHT], seen[NINE], seen[TEN] = ox - np.copysign(px, ix), oy - np.copysign(py, iy), oz - np.copysign(pz, iz)
+        backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
         best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
         t0, t1 = near_t, best
         for axis in range(THREE):
-            inverse = ix if axis == ZERO else (iy if axis == ONE else iz)
-            near = THREE if inverse < 0.0 else ZERO
-            low = (bounds[near + axis] - (ax if axis == ZERO else (ay if axis == ONE else az))) * inverse
-            high = (bounds[THREE - near + axis] - (zx if axis == ZERO else (zy if axis == ONE else zz))) * inverse
+            near = (backwards >> axis & ONE) * THREE
+            low = (bounds[near + axis] - seen[FOUR + axis]) * seen[axis]
+            high = (bounds[THREE - near + axis] - seen[EIGHT + axis]) * seen[axis]
             t0 = low if low > t0 else t0
             t1 = high if high < t1 else t1
         if t0 <= t1:
-            k, shear_ = shear(dx, dy, dz)
+            k, shear_ = shear(dx, dy, dz, ix, iy, iz)
             sp, pp, node = ZERO, ZERO, ZERO
             while True:
                 b = node * TWO
                 m = np.uint64(meta[b + ONE])
                 axis = m & THREE
                 if axis != LEAF:
-                    inverse = ix if axis == ZERO else (iy if axis == ONE else iz)
-                    low = (nodes[b] - (ax if axis == ZERO else (ay if axis == ONE else az))) * inverse
-                    high = (nodes[b] - (zx if axis == ZERO else (zy if axis == ONE else zz))) * inverse
-                    upper_first = ONE if inverse < 0.0 else ZERO
+                    low = (nodes[b] - seen[FOUR + axis]) * seen[axis]
+                    high = (nodes[b] - seen[EIGHT + axis]) * seen[axis]
+                    upper_first = backwards >> axis & ONE
                     visits_near, visits_far = high >= t0, low <= t1
                     child = m >> TWO
                     near = child + upper_first
@@ -257,11 +253,11 @@ def trace_kdtree(
                     events[n_events] = node << TWO | ENTER
                     n_events += ONE
                     if n_prims > ZERO:
-                        n_events = _request_stack(stack, pp, events, n_events)
+                        n_events = _request_stack(stack, min(pp, sp), events, n_events)
                         pp = ZERO
                 leaf = np.uint64(meta[b])
                 best, best_prim = _closest_in_leaf(
-                    prims, leaf, n_prims, tri, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
+                    prims, leaf, n_prims, corners, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
                 )
                 if any_hit and best_prim != NO_PRIM:
                     break
@@ -272,7 +268,6 @@ def trace_kdtree(
                 if events is not None and n_events > limit:
                     return np.int64(i)
                 sp -= ONE
-                pp = min(pp, sp)
                 node, t0, t1 = np.uint64(stack[sp]), entry[sp], exit_[sp]
         if events is not None:
             count[i] = n_events - start
@@ -287,9 +282,11 @@ def trace_brute(tri, bounds, origin, direction, t_min, t_max, prim, hit_t):
     for ray in range(t_min.size):
         i = np.uint64(ray) * THREE
         dx, dy, dz = np.float64(direction[i]), np.float64(direction[i + ONE]), np.float64(direction[i + TWO])
-        (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz)
+        ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
+        (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz, ix, iy, iz)
         ox, oy, oz = np.float64(origin[i + kx]), np.float64(origin[i + ky]), np.float64(origin[i + kz])
-        doubt = margins(bounds, np.float64(origin[i]), np.float64(origin[i + ONE]), np.float64(origin[i + TWO]), dx, dy, dz)[3]
+        x, y, z = np.float64(origin[i]), np.float64(origin[i + ONE]), np.float64(origin[i + TWO])
+        doubt = margins(bounds, x, y, z, dx, dy, dz, ix, iy, iz)[3]
         best, best_prim = t_max[ray], NO_PRIM
         for c in range(tri.size // 9):
             t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt)
@@ -334,8 +331,32 @@ def trace(tree: Tree, rays: Rays, *, any_hit: bool = False) -> Hits:
     return _trace(tree, rays, any_hit, None)[0]
 
 
-def trace_recorded(tree: Tree, rays: Rays, *, any_hit: bool = False) -> tuple[Hits, np.ndarray, np.ndarray]:
+class Room:
+    """Memory for the events of a batch, which grows as needed and serves one batch after another.
+
+    Fresh memory for every batch costs the system up to half the time of the tracing.
+    """
+
+    def __init__(self) -> None:
+        self.events = np.empty(0, np.uint32)
+
+    def grow(self, n_events: int, n_used: int = 0) -> None:
+        """Make room for at least so many events; the first ``n_used`` are kept."""
+        if n_events > self.events.size:
+            events = np.empty(n_events, np.uint32)
+            events[:n_used] = self.events[:n_used]
+            self.events = events
+
+
+def trace_recorded(
+    tree: Tree, rays: Rays, *, any_hit: bool = False, room: Room | None = None
+) -> tuple[Hits, np.ndarray, np.ndarray]:
     """Trace rays and record their node accesses.
+
+    Parameters
+    ----------
+    room : Room, optional
+        Where the events are written; its next use overwrites them.
 
     Returns
     -------
@@ -345,30 +366,30 @@ def trace_recorded(tree: Tree, rays: Rays, *, any_hit: bool = False) -> tuple[Hi
     events : (sum of count,) uint32
         ``node << 2 | kind`` of all rays, in ray order.
     """
-    n = len(rays.t_min)
-    return _trace(tree, rays, any_hit, np.empty(EVENTS_PER_RAY * n + 4 * tree.max_level + 64, np.uint32))
+    return _trace(tree, rays, any_hit, room or Room())
 
 
-def _trace(tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray | None) -> tuple[Hits, np.ndarray, np.ndarray]:
+def _trace(tree: Tree, rays: Rays, any_hit: bool, room: Room | None) -> tuple[Hits, np.ndarray, np.ndarray]:
     nodes, meta = words(tree)
     n = len(rays.t_min)
     prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.zeros(n, np.uint32)
-    fixed: tuple[np.ndarray, ...] = (nodes, meta, tree.prims, tree.triangles.reshape(-1))
+    fixed: tuple[np.ndarray, ...] = (nodes, meta, tree.prims, tree.corners.reshape(-1))
     kernel_of = trace_bvh
     if tree.kind == "kdtree":
         kernel_of, fixed = trace_kdtree, (*fixed, tree.bounds.reshape(-1))
     given = (rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max, any_hit)
-    first, pieces = 0, []
+    if room is None:
+        kernel_of(*fixed, tree.max_level, *given, 0, prim, t, count, None)
+        return Hits(prim, t), count, np.empty(0, np.uint32)
+    room.grow(EVENTS_PER_RAY * n + 4 * tree.max_level + 64)
+    first = n_events = 0
     while first < n:
-        done = kernel_of(*fixed, tree.max_level, *given, first, prim, t, count, events)
-        if events is not None:
-            pieces.append(events[: int(count[first:done].sum())])
-            if done < n:  # a longer buffer each time: one ray may need more than the first one holds
-                events = np.empty(2 * events.size, np.uint32)
+        done = kernel_of(*fixed, tree.max_level, *given, first, prim, t, count, room.events[n_events:])
+        n_events += int(count[first:done].sum())
+        if done < n:
+            room.grow(2 * room.events.size, n_events)
         first = done
-    if len(pieces) > 1:
-        pieces = [np.concatenate(pieces)]
-    return Hits(prim, t), count, pieces[0] if pieces else np.empty(0, np.uint32)
+    return Hits(prim, t), count, room.events[:n_events]
 
 
 def trace_all(triangles: np.ndarray, rays: Rays) -> Hits:

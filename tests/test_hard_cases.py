@@ -462,7 +462,7 @@ def test_a_broken_tree_is_caught():
         tree = build_kdtree(triangles)
         prims = tree.prims.copy()
         prims[10] = prims[9]
-        return lambda rays, any_hit: trace(tree._replace(prims=prims), rays, any_hit=any_hit)
+        return lambda rays, any_hit: trace(tree._replace(prims=prims, corners=triangles[prims]), rays, any_hit=any_hit)
 
     for build in (shrunken, forgetful):
         (row,) = run_case(case, {"broken": build})

@@ -35,5 +35,5 @@ def test_a_broken_tree_is_seen():
     broken = tree._replace(nodes=nodes)
     bad = {row.what for row in compare([build_kdtree(triangles), broken], scene, 64, 64, 5_000, seed=5) if not row.is_good}
     assert {"hit/miss differences", "rays unlike the kdtree"} <= bad
-    moved = tree._replace(triangles=triangles + np.float32(0.01))
+    moved = tree._replace(corners=tree.corners + np.float32(0.01))
     assert any(row.what == "largest |dt| in kappa" for row in compare([moved], scene, 64, 64, 5_000, 6) if not row.is_good)

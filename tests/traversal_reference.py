@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 
 READ, PUSH, LEAF, PREFETCH = 0, 1, 2, 3
-PAD, ORIGIN_PAD, LEAST_PAD = 2.0**-44, 2.0**-50, 1e-300
+PAD, ORIGIN_PAD, LEAST_PAD, HUGE = 2.0**-44, 2.0**-50, 1e-100, 1.7976931348623157e308
 DOUBT, THIN = 2.0**-50, 2.0**-6
 
 
@@ -38,13 +38,9 @@ class PrefetchUnit:
             yield self.stack[self.pointer][0]
 
 
-def divide(a, b):
-    """IEEE division: Python raises where hardware returns an infinity or NaN."""
-    if b != 0.0:
-        return a / b
-    if a == 0.0 or math.isnan(a):
-        return math.nan
-    return math.copysign(math.inf, a) * math.copysign(1.0, b)
+def inverse(d):
+    """Return 1 / d, a huge number for a zero: products with it are never undefined."""
+    return 1.0 / d if d != 0.0 else math.copysign(HUGE, d)
 
 
 def triangle_hit(corners, origin, direction):
@@ -52,7 +48,8 @@ def triangle_hit(corners, origin, direction):
     size = [abs(d) for d in direction]
     kz = size.index(max(size))
     kx, ky = (kz + 1) % 3, (kz + 2) % 3
-    shear_x, shear_y, scale = direction[kx] / direction[kz], direction[ky] / direction[kz], 1.0 / direction[kz]
+    scale = inverse(direction[kz])
+    shear_x, shear_y = direction[kx] * scale, direction[ky] * scale
     moved = [[corner[k] - origin[k] for k in range(3)] for corner in corners]
     (ax, ay), (bx, by), (cx, cy) = [(p[kx] - shear_x * p[kz], p[ky] - shear_y * p[kz]) for p in moved]
     pairs = [(cx, by, cy, bx), (ax, cy, ay, cx), (bx, ay, by, ax)]
@@ -105,8 +102,8 @@ class Seen:
         reach = [max(abs(lower[k] - origin[k]), abs(upper[k] - origin[k])) for k in range(3)]
         size = [abs(d) for d in direction]
         z = size.index(max(size))
-        along = reach[z] / size[z]
-        self.inverse = [divide(1.0, d) for d in direction]
+        self.inverse = [inverse(d) for d in direction]
+        along = reach[z] * abs(self.inverse[z])
         self.near, self.far = [], []
         for k in range(3):
             pad = PAD * (reach[k] + along * size[k]) + ORIGIN_PAD * abs(origin[k]) + LEAST_PAD
@@ -116,26 +113,19 @@ class Seen:
             self.far.append(origin[k] - pad)
 
     def enters(self, k, plane):
-        return times(plane - self.near[k], self.inverse[k])
+        return (plane - self.near[k]) * self.inverse[k]
 
     def leaves(self, k, plane):
-        return times(plane - self.far[k], self.inverse[k])
+        return (plane - self.far[k]) * self.inverse[k]
 
 
 def box_interval(lower, upper, seen, t_min, t_max):
-    """Return the ray's interval in a box; a face in whose moved plane the ray lies does not narrow it."""
+    """Return the ray's interval in a box."""
     for k in range(3):
         near, far = (upper[k], lower[k]) if seen.inverse[k] < 0 else (lower[k], upper[k])
-        enters, leaves = seen.enters(k, near), seen.leaves(k, far)
-        if not math.isnan(enters):
-            t_min = max(t_min, enters)
-        if not math.isnan(leaves):
-            t_max = min(t_max, leaves)
+        t_min = max(t_min, seen.enters(k, near))
+        t_max = min(t_max, seen.leaves(k, far))
     return t_min, t_max
-
-
-def times(a, b):
-    return math.nan if a == 0.0 and math.isinf(b) else a * b
 
 
 def traverse(tree, origin, direction, t_min=0.0, t_max=math.inf, any_hit=False):

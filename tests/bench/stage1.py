@@ -4,6 +4,7 @@ import ctypes
 import shutil
 import subprocess
 import tempfile
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,7 +17,7 @@ from rtrace.nodes import Tree, words
 from rtrace.render import Shooting, render
 from rtrace.scene import Scene
 from rtrace.shoot import primary_rays, shadow_rays
-from rtrace.traverse import Rays, trace, trace_recorded
+from rtrace.traverse import Rays, Room, trace, trace_recorded
 from rtrace.verify import embree_scene
 from tests.bench.measure import ratio, times
 from traces.format import open_run
@@ -39,7 +40,7 @@ def bench_scene(scene: Scene, size: int, repeat: int, peer: ctypes.CDLL | None) 
         tree = build(scene.triangles)
         shadow = shadow_rays(tree, primary, trace(tree, primary), scene.light)[0]
         for kind, rays, any_hit in (("closest", primary, False), ("any", shadow, True)):
-            cut = pieces(rays)
+            cut, room = pieces(rays), Room()
             far = rays.t_max.astype(np.float32)
 
             def ask_embree(rays=rays, far=far, any_hit=any_hit):
@@ -47,13 +48,23 @@ def bench_scene(scene: Scene, size: int, repeat: int, peer: ctypes.CDLL | None) 
                     return embree.run(rays.origin, rays.direction, dists=far.copy(), query="OCCLUDED")
                 return embree.run(rays.origin, rays.direction)
 
-            functions = {
-                "embree": ask_embree,
-                "plain": lambda cut=cut, tree=tree, any_hit=any_hit: [trace(tree, r, any_hit=any_hit) for r in cut],
-                "traced": lambda cut=cut, tree=tree, any_hit=any_hit: [trace_recorded(tree, r, any_hit=any_hit) for r in cut],
-            }
+            def ours(cut=cut, tree=tree, any_hit=any_hit):
+                for piece in cut:
+                    trace(tree, piece, any_hit=any_hit)
+
+            def traced(cut=cut, tree=tree, any_hit=any_hit, room=room):
+                for piece in cut:
+                    trace_recorded(tree, piece, any_hit=any_hit, room=room)
+
+            functions = {"embree": ask_embree, "plain": ours, "traced": traced}
             if peer is not None:
-                functions["c++"] = lambda cut=cut, tree=tree, any_hit=any_hit: [call_peer(peer, tree, r, any_hit) for r in cut]
+                events = np.empty(CHUNK * 2 * (tree.max_level + 200), np.uint32)
+
+                def peers(cut=cut, tree=tree, any_hit=any_hit, events=events):
+                    for piece in cut:
+                        call_peer(peer, tree, piece, any_hit, events)
+
+                functions["c++"] = peers
             taken = times(functions, repeat)
             out[f"{kind} {name} traced / embree"] = ratio(taken["embree"], taken["traced"])
             out[f"{kind} {name} cost of tracing"] = ratio(taken["traced"], taken["plain"])
@@ -69,10 +80,17 @@ def bench_both(scene: Scene, tree: Tree, embree, primary: Rays, shadow: Rays, re
     """Primary and shadow rays traced into memory by two threads, against embreex on the same rays as called from Python."""
     far = shadow.t_max.astype(np.float32)
 
+    rooms = threading.local()
+
+    def one(rays: Rays, any_hit: bool) -> None:
+        if not hasattr(rooms, "room"):
+            rooms.room = Room()
+        trace_recorded(tree, rays, any_hit=any_hit, room=rooms.room)
+
     def ours():
         with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda r: trace_recorded(tree, r), pieces(primary)))
-            list(pool.map(lambda r: trace_recorded(tree, r, any_hit=True), pieces(shadow)))
+            list(pool.map(lambda r: one(r, False), pieces(primary)))
+            list(pool.map(lambda r: one(r, True), pieces(shadow)))
 
     def theirs():
         embree.run(primary.origin, primary.direction)
@@ -119,12 +137,11 @@ def build_peer(folder: Path) -> ctypes.CDLL | None:
     return peer
 
 
-def call_peer(peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool) -> np.ndarray:
-    """Trace a batch with the C++ peer and return its events, which must be ours."""
+def call_peer(peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray) -> np.ndarray:
+    """Trace a batch with the C++ peer into ``events`` and return those written, which must be ours."""
     n = len(rays.t_max)
     prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.empty(n, np.uint32)
-    events = np.empty(n * 2 * (tree.max_level + 200), np.uint32)
-    arrays: list = [*words(tree), tree.prims, tree.triangles]
+    arrays: list = [*words(tree), tree.prims, tree.corners]
     if tree.kind == "kdtree":
         arrays.append(tree.bounds)
     inputs = [*arrays, tree.max_level, rays.origin, rays.direction, rays.t_min, rays.t_max, ctypes.c_int64(n), int(any_hit)]

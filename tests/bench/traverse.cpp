@@ -11,7 +11,7 @@
 
 namespace {
 
-constexpr double kPad = 0x1p-44, kOriginPad = 0x1p-50, kLeastPad = 1e-300, kDoubt = 0x1p-50, kThin = 0x1p-6;
+constexpr double kPad = 0x1p-44, kOriginPad = 0x1p-50, kLeastPad = 1e-100, kDoubt = 0x1p-50, kThin = 0x1p-6;
 constexpr int32_t kNoPrim = std::numeric_limits<int32_t>::max();
 constexpr uint32_t kRead = 0, kPush = 1, kEnter = 2, kPrefetch = 3, kLeaf = 3;
 
@@ -40,18 +40,18 @@ struct Ray {
         for (int k = 0; k < 3; ++k) {
             o[k] = origin[k];
             d[k] = direction[k];
-            inverse[k] = 1.0 / d[k];
+            inverse[k] = d[k] != 0.0 ? 1.0 / d[k] : std::copysign(std::numeric_limits<double>::max(), d[k]);
             reach[k] = std::max(std::abs(bounds[k] - o[k]), std::abs(bounds[3 + k] - o[k]));
         }
         const double ax = std::abs(d[0]), ay = std::abs(d[1]), az = std::abs(d[2]);
         kz = ax >= ay && ax >= az ? 0 : (ay >= az ? 1 : 2);
         kx = (kz + 1) % 3;
         ky = (kx + 1) % 3;
-        sx = d[kx] / d[kz];
-        sy = d[ky] / d[kz];
-        sz = 1.0 / d[kz];
+        sz = inverse[kz];
+        sx = d[kx] * sz;
+        sy = d[ky] * sz;
         // Margins of the culling tests: see rtrace/intersect.py.
-        const double along = reach[kz] / std::abs(d[kz]);
+        const double along = reach[kz] * std::abs(sz);
         doubt = kDoubt * (reach[kx] + along * std::abs(d[kx])) * (reach[ky] + along * std::abs(d[ky]));
         for (int k = 0; k < 3; ++k) {
             double pad = kPad * (reach[k] + along * std::abs(d[k])) + kOriginPad * std::abs(o[k]) + kLeastPad;
@@ -90,9 +90,9 @@ struct Best {
     bool any_hit;
 
     // Test the triangles of a leaf; whether the ray is done.
-    bool leaf(const Ray& ray, const int32_t* prims, uint32_t n, const float* tri) {
+    bool leaf(const Ray& ray, const int32_t* prims, uint32_t n, const float* corners) {
         for (uint32_t i = 0; i < n; ++i) {
-            const double h = ray.hit(tri + 9 * static_cast<int64_t>(prims[i]));
+            const double h = ray.hit(corners + 9 * i);
             if (h >= t_min && (h < t || (h == t && prims[i] < prim))) {
                 t = h;
                 prim = prims[i];
@@ -119,7 +119,7 @@ void finish(const Best& best, int32_t* prim, double* t) {
 
 }  // namespace
 
-extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* tri, int max_level,
+extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners, int max_level,
                              const float* origin, const float* direction, const double* t_min, const double* t_max,
                              int64_t n_rays, int any_hit, int32_t* prim, double* t, uint32_t* count, uint32_t* events) {
     std::vector<uint32_t> stack(max_level + 1);
@@ -160,7 +160,7 @@ extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int
                 trace.add(node, kEnter);
                 if (events)
                     while (pp > 0) trace.add(stack[--pp], kPrefetch);
-                if (best.leaf(ray, prims + child, m >> 2, tri)) break;
+                if (best.leaf(ray, prims + child, m >> 2, corners + 9 * static_cast<int64_t>(child))) break;
             } else {
                 trace.add(node, kRead);
             }
@@ -174,7 +174,7 @@ extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int
     return trace.n;
 }
 
-extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* tri,
+extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners,
                                 const float* bounds, int max_level, const float* origin, const float* direction,
                                 const double* t_min, const double* t_max, int64_t n_rays, int any_hit, int32_t* prim,
                                 double* t, uint32_t* count, uint32_t* events) {
@@ -222,7 +222,8 @@ extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const 
             trace.add(node, kEnter);
             if (events && m >> 2)
                 while (pp > 0) trace.add(stack[--pp].node, kPrefetch);
-            if (best.leaf(ray, prims + meta[2 * static_cast<int64_t>(node)], m >> 2, tri)) break;
+            const int64_t first = meta[2 * static_cast<int64_t>(node)];
+            if (best.leaf(ray, prims + first, m >> 2, corners + 9 * first)) break;
             while (sp > 0 && stack[sp - 1].t0 > best.t) --sp;
             if (sp == 0) break;
             --sp;
