@@ -92,10 +92,31 @@ class DirectFilter:
         kept, kept_labels = np.empty(lines.size, np.uint32), np.empty(lines.size, np.uint8)
         n = drop_repeats(lines, labels, self._n_sets, self._mask, self._newest, self._keep_first_use, kept, kept_labels)
         kept, kept_labels = kept[:n], kept_labels[:n]
-        n_prefetches = int(np.count_nonzero(labels >= PREFETCH) - np.count_nonzero(kept_labels >= PREFETCH))
-        self.n_dropped_prefetches += n_prefetches
-        self.n_dropped_demand += lines.size - int(n) - n_prefetches
+        self._note(int(np.count_nonzero(labels >= PREFETCH)), lines.size, kept_labels)
         return kept, kept_labels
+
+    def looked_up(
+        self, table: np.ndarray, rows: np.ndarray, labels: np.ndarray, totals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Add the accesses to lines table[rows] to ``totals``, per label; return the (line, label) pairs that are kept.
+
+        In one pass: looking up, counting and filtering one after the other took 1.3 to 1.7 times as long.
+        """
+        kept, kept_labels = np.empty(rows.size, np.uint32), np.empty(rows.size, np.uint8)
+        counted = np.zeros(totals.size, np.int64)
+        n = look_up_and_drop(
+            table, rows, labels, self._n_sets, self._mask, self._newest, self._keep_first_use, counted, kept, kept_labels
+        )
+        totals += counted
+        kept, kept_labels = kept[:n], kept_labels[:n]
+        self._note(int(counted[PREFETCH:].sum()), rows.size, kept_labels)
+        return kept, kept_labels
+
+    def _note(self, n_prefetches: int, n: int, kept_labels: np.ndarray) -> None:
+        """Count what was dropped of n accesses."""
+        n_prefetches -= int(np.count_nonzero(kept_labels >= PREFETCH))
+        self.n_dropped_prefetches += n_prefetches
+        self.n_dropped_demand += n - kept_labels.size - n_prefetches
 
 
 def filtered(
@@ -119,6 +140,28 @@ def drop_repeats(lines, labels, n_sets, mask, newest, keep_first_use, kept, kept
         tag, before = (np.uint64(line) << ONE) | ONE, newest[s]
         # Branches: copying always and advancing by 0 or 1 took 0.65 to 3.5 times the time (mean 1.4), as each access then
         # waits for the one before it in its set.
+        if before == tag:
+            continue
+        if keep_first_use and label >= PREFETCH:
+            tag ^= ONE
+            if before == tag:
+                continue
+        newest[s] = tag
+        kept[n] = line
+        kept_labels[n] = label
+        n += ONE
+    return n
+
+
+@kernel
+def look_up_and_drop(table, rows, labels, n_sets, mask, newest, keep_first_use, totals, kept, kept_labels):
+    """As ``drop_repeats`` for the lines table[rows]; count the labels into totals."""
+    n = np.uint64(0)
+    for i in range(rows.size):
+        line, label = table[rows[i]], labels[i]
+        totals[label] += 1
+        s = np.uint64(set_of(np.int64(line), n_sets, mask))
+        tag, before = (np.uint64(line) << ONE) | ONE, newest[s]
         if before == tag:
             continue
         if keep_first_use and label >= PREFETCH:

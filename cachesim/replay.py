@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,38 +28,27 @@ from cachesim.exact import (
     replay_exact,
     replay_sequential,
 )
+from cachesim.filter import DirectFilter, filter_sets
 from cachesim.layout import Layout
 from cachesim.prefetch import Prefetch, parse_prefetch
-from cachesim.source import Lines, RunSource, Source, demand_only, open_source
-from jit import kernel
+from cachesim.source import RunSource, Source, demand_only, open_source
 from traces.format import Run
 
-
-@kernel
-def tally(labels, totals):
-    """Count the labels into totals."""
-    for label in labels:
-        totals[label] += 1
+#: Sets of the smallest filter worth its time: with fewer it keeps most accesses.
+LEAST_FILTER = 16
 
 
-class _Stream:
-    """One stream of accesses, demand only (A) or with pre-fetches (B), at one line size, piece by piece."""
+class _Piece(NamedTuple):
+    """Some accesses of one stream at one line size."""
 
-    def __init__(self, lines: Lines, *, needs_ids: bool, ahead: int) -> None:
-        self._source, self._needs_ids, self._ahead = lines, needs_ids, ahead
-        self.totals = np.zeros(N_LABELS, np.int64)
-        self.n_ids = 0
-        self.lines = self.labels = self.ids = self.next_ids = np.empty(0, np.uint32)
+    lines: np.ndarray
+    labels: np.ndarray
+    ids: np.ndarray
+    next_ids: np.ndarray  # of the lines that a sequential pre-fetcher would request; else the ids again
+    n_ids: int
 
-    def set(self, lines: np.ndarray, labels: np.ndarray) -> None:
-        """Take the next piece."""
-        self.lines, self.labels = lines, labels
-        tally(labels, self.totals)
-        if self._needs_ids:
-            self.ids = self.next_ids = self._source.ids(lines)
-            if self._ahead:
-                self.next_ids = self._source.ids(lines + np.uint32(self._ahead))
-            self.n_ids = self._source.n_ids
+
+_Task = tuple[Callable[[_Piece], None], _Piece]
 
 
 class _Counting:
@@ -71,11 +60,10 @@ class _Counting:
         self._tags = lru.empty_tags(config.n_sets, config.ways)
         self.misses = np.zeros(N_LABELS, np.int64)
 
-    def step(self, stream: _Stream) -> None:
-        """Replay the stream's current piece."""
-        config, where = self._config, (stream.lines, stream.labels, self._config.n_sets, self._mask)
-        kernel_of_ways = lru.direct_mapped if config.ways == 1 else lru.two_way
-        kernel_of_ways(*where, self._tags, self.misses)
+    def step(self, piece: _Piece) -> None:
+        """Replay a piece."""
+        kernel_of_ways = lru.direct_mapped if self._config.ways == 1 else lru.two_way
+        kernel_of_ways(piece.lines, piece.labels, self._config.n_sets, self._mask, self._tags, self.misses)
 
 
 class _Exact:
@@ -85,15 +73,15 @@ class _Exact:
         self.cache = make_cache(config, 0, three_c=three_c)
         self._trigger, self._distance = prefetch.trigger, prefetch.distance
 
-    def step(self, stream: _Stream) -> None:
-        """Replay the stream's current piece."""
-        if stream.n_ids > self.cache.facts.size:
-            self.cache = grow_cache(self.cache, max(stream.n_ids, 2 * self.cache.facts.size))
-        piece = (stream.lines, stream.ids)
+    def step(self, piece: _Piece) -> None:
+        """Replay a piece."""
+        lines, labels, ids, next_ids, n_ids = piece
+        if n_ids > self.cache.facts.size:
+            self.cache = grow_cache(self.cache, max(n_ids, 2 * self.cache.facts.size))
         if self._trigger:
-            replay_sequential(*piece, stream.next_ids, stream.labels, self.cache, self._trigger, self._distance)
+            replay_sequential(lines, ids, next_ids, labels, self.cache, self._trigger, self._distance)
         else:
-            replay_exact(*piece, stream.labels, self.cache)
+            replay_exact(lines, ids, labels, self.cache)
 
     def row(self, which: int) -> np.ndarray:
         """Return one row of the counts, per label."""
@@ -124,19 +112,19 @@ class _Job:
     def needs_ids(self) -> bool:
         return self._full is not None or isinstance(self._alone, _Exact)
 
-    def tasks(self, demand: _Stream, everything: _Stream) -> list[tuple[Any, _Stream]]:
-        """Return the caches to step, each with its stream."""
-        tasks: list[tuple[Any, _Stream]] = []
+    def tasks(self, demand: _Piece, everything: _Piece) -> list[_Task]:
+        """Return the caches to step, each with its piece of its stream."""
+        tasks: list[_Task] = []
         if self._full is not None:
-            tasks.append((self._full, everything))
+            tasks.append((self._full.step, everything))
         if self._has_prefetch or self._full is None:
-            tasks.append((self._alone, demand))
+            tasks.append((self._alone.step, demand))
         return tasks
 
-    def fill(self, result: Result, everything: _Stream) -> None:
-        """Write the counts into a result."""
+    def fill(self, result: Result, totals: np.ndarray) -> None:
+        """Write the counts into a result; ``totals`` are the accesses of its stream per label."""
         main = self._full or self._alone
-        result.accesses = everything.totals.copy()
+        result.accesses = totals.copy()
         result.misses = main.misses.copy()
         alone = self._alone if self._has_prefetch or self._full is None else main
         result.demand_misses_without = int(alone.misses[:PREFETCH].sum())
@@ -153,27 +141,56 @@ class _Job:
 
 
 class _Group:
-    """All configurations of one line size: they share the line numbers of a batch."""
+    """Configurations of one line size: they share the lines of a batch, and the filter if there is one.
 
-    def __init__(self, source: Source, line_bytes: int, prefetch: Prefetch, jobs: list[_Job]) -> None:
-        ahead = prefetch.distance
-        needs_ids = any(job.needs_ids for job in jobs)
-        self._lines = source.lines(line_bytes, ahead)
+    Parameters
+    ----------
+    filter_of : int
+        Sets of the exact filter that all of them allow; 0 for none.
+    """
+
+    def __init__(self, source: Source, line_bytes: int, prefetch: Prefetch, jobs: list[_Job], filter_of: int) -> None:
         self.jobs = jobs
-        self.everything = _Stream(self._lines, needs_ids=needs_ids, ahead=ahead)
-        self._demand = self.everything
-        if prefetch.kind in ("traced", "stack"):
-            self._demand = _Stream(self._lines, needs_ids=needs_ids, ahead=0)
+        self.totals = np.zeros(N_LABELS, np.int64)
         self.n_splits = 0
+        self._ahead = prefetch.distance
+        self._needs_ids = any(job.needs_ids for job in jobs)
+        self._has_requests = prefetch.kind in ("traced", "stack")
+        self._lines = source.lines(line_bytes, self._ahead)
+        # With first uses kept, what is left of the demand accesses is also exact for the demand stream alone.
+        self._filter = DirectFilter(filter_of, keep_first_use=self._has_requests) if filter_of else None
 
-    def tasks(self, events: Any, labels: np.ndarray) -> list[tuple[Any, _Stream]]:
+    def tasks(self, events: Any, labels: np.ndarray) -> list[_Task]:
         """Take a batch of events; return the caches to step."""
-        lines, line_labels = self._lines.accesses(events, labels)
-        self.n_splits += lines.size - labels.size
-        self.everything.set(lines, line_labels)
-        if self._demand is not self.everything:
-            self._demand.set(*demand_only(lines, line_labels))
-        return [task for job in self.jobs for task in job.tasks(self._demand, self.everything)]
+        n_before = int(self.totals.sum())
+        lines, line_labels = self._lines.counted(events, labels, self._filter, self.totals)
+        self.n_splits += int(self.totals.sum()) - n_before - labels.size
+        everything = demand = self._piece(lines, line_labels)
+        if self._has_requests:
+            demand = self._piece(*demand_only(lines, line_labels))
+        return [task for job in self.jobs for task in job.tasks(demand, everything)]
+
+    def _piece(self, lines: np.ndarray, labels: np.ndarray) -> _Piece:
+        ids = next_ids = self._lines.ids(lines) if self._needs_ids else lines
+        if self._ahead:
+            next_ids = self._lines.ids(lines + np.uint32(self._ahead))
+        return _Piece(lines, labels, ids, next_ids, self._lines.n_ids)
+
+
+def _groups(source: Source, jobs: list[_Job], prefetch: Prefetch, *, is_filtered: bool) -> list[_Group]:
+    """Group the jobs by line size, and those that one exact filter serves apart from the others."""
+    by_line: dict[int, list[_Job]] = {}
+    for job in jobs:
+        by_line.setdefault(job.config.line_bytes, []).append(job)
+    groups = []
+    for line_bytes, members in by_line.items():
+        served = [job for job in members if is_filtered and job.config.n_sets >= LEAST_FILTER]
+        n_sets = filter_sets([job.config for job in served])
+        if n_sets < LEAST_FILTER:
+            served, n_sets = [], 0
+        others = [job for job in members if job not in served]
+        groups += [_Group(source, line_bytes, prefetch, part, n) for part, n in ((served, n_sets), (others, 0)) if part]
+    return groups
 
 
 def replay(
@@ -183,6 +200,7 @@ def replay(
     prefetch: Prefetch | str = "traced",
     layout: Layout | str = "stored",
     three_c: bool = False,
+    is_filtered: bool = True,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Result]:
@@ -197,6 +215,8 @@ def replay(
         See ``cachesim.prefetch.parse_prefetch``.
     three_c : bool
         Classify misses as compulsory, capacity or conflict.
+    is_filtered : bool
+        Leave out, where that is exact (``cachesim.filter``), what cannot change a cache. The counts do not depend on it.
     threads : int, optional
         Caches replayed at a time; as many as there are cores when None. The counts do not depend on it.
     progress : callable, optional
@@ -209,17 +229,20 @@ def replay(
     elif isinstance(source, (str, Path)):
         source = open_source(source, layout)
     jobs = [_Job(config, prefetch, three_c=three_c) for config in configs]
-    by_line: dict[int, list[_Job]] = {}
-    for job in jobs:
-        by_line.setdefault(job.config.line_bytes, []).append(job)
-    groups = [_Group(source, line_bytes, prefetch, members) for line_bytes, members in by_line.items()]
+    is_filtered = is_filtered and not three_c and not prefetch.trigger
+    groups = _groups(source, jobs, prefetch, is_filtered=is_filtered)
+    running: list[Future[None]] = []
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         for events, labels in source.events(prefetch):
+            # The next batch is decoded and looked up while the caches step over the last one.
             tasks = [task for group in groups for task in group.tasks(events, labels)]
-            for _ in pool.map(lambda task: task[0].step(task[1]), tasks):
-                pass
+            for future in running:
+                future.result()
+            running = [pool.submit(step, piece) for step, piece in tasks]
             if progress is not None:
                 progress(labels.size)
+        for future in running:
+            future.result()
     results = {}
     for group in groups:
         for job in group.jobs:
@@ -227,6 +250,6 @@ def replay(
                 run=source.name, config=job.config, prefetch=str(prefetch),
                 layout=str(source.layout), has_3c=three_c, n_rays=source.n_rays, n_splits=group.n_splits,
             )  # fmt: skip
-            job.fill(result, group.everything)
+            job.fill(result, group.totals)
             results[id(job)] = result
     return [results[id(job)] for job in jobs]

@@ -8,6 +8,7 @@ import numpy as np
 
 from cachesim.dense import DenseIds
 from cachesim.exact import PREFETCH
+from cachesim.filter import DirectFilter
 from cachesim.layout import Layout, addresses, parse_layout
 from cachesim.prefetch import KIND_PREFETCH, REQUEST, Prefetch, StackReplay
 from jit import kernel
@@ -15,7 +16,7 @@ from traces.din import DinTrace
 from traces.format import Run, open_run
 
 #: Events handed on at a time: their arrays stay in a core's share of the last-level cache.
-BATCH = 1 << 17
+BATCH = 1 << 18
 
 
 class Lines(Protocol):
@@ -26,6 +27,11 @@ class Lines(Protocol):
 
     def accesses(self, events: Any, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (line uint32, label uint8) of every access of a batch of events."""
+
+    def counted(
+        self, events: Any, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Add the accesses of a batch to ``totals`` (per label); return those that the filter, if any, keeps."""
 
     def ids(self, lines: np.ndarray) -> np.ndarray:
         """Return the dense id (uint32) of every line."""
@@ -110,9 +116,12 @@ class RunSource:
                 nodes, kinds = group_nodes[start : start + BATCH], group_kinds[start : start + BATCH]
                 if unit is not None:
                     yield unit.events(nodes, kinds)
-                    continue
-                labels = (kinds == KIND_PREFETCH).view(np.uint8) * np.uint8(REQUEST)
-                yield (nodes, labels) if prefetch.kind == "traced" else demand_only(nodes, labels)
+                elif prefetch.kind == "traced":
+                    yield nodes, (kinds == KIND_PREFETCH).view(np.uint8) * np.uint8(REQUEST)
+                else:
+                    demand = np.empty(nodes.size, np.uint32)
+                    demand = demand[: demand_rows(nodes, kinds, demand)]
+                    yield demand, np.zeros(demand.size, np.uint8)
 
     def lines(self, line_bytes: int, ahead: int) -> "NodeLines":
         """Return the lines of the nodes."""
@@ -135,6 +144,14 @@ class NodeLines:
         """Return the accesses of node reads."""
         first = look_up(self._first, events)
         return (first, labels) if self._last is None else split(first, look_up(self._last, events), labels)
+
+    def counted(
+        self, events: np.ndarray, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the accesses of node reads that are kept."""
+        if direct is not None and self._last is None:
+            return direct.looked_up(self._first, events, labels, totals)
+        return count_and_keep(*self.accesses(events, labels), direct, totals)
 
     def ids(self, lines: np.ndarray) -> np.ndarray:
         """Return the lines themselves."""
@@ -193,9 +210,30 @@ class AddressLines:
         last = (last_byte // self._line_bytes).astype(np.uint32)
         return (first, labels) if np.array_equal(first, last) else split(first, last, labels)
 
+    def counted(
+        self, events: tuple[np.ndarray, np.ndarray | int], labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the accesses of reads that are kept."""
+        return count_and_keep(*self.accesses(events, labels), direct, totals)
+
     def ids(self, lines: np.ndarray) -> np.ndarray:
         """Return the id of each line, numbering those not seen before."""
         return self._dense.ids(lines)
+
+
+def count_and_keep(
+    lines: np.ndarray, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add accesses to ``totals`` (per label); return those that the filter, if any, keeps."""
+    tally(labels, totals)
+    return (lines, labels) if direct is None else direct.accesses(lines, labels)
+
+
+@kernel
+def tally(labels, totals):
+    """Count the labels into totals."""
+    for label in labels:
+        totals[label] += 1
 
 
 def demand_only(values: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -203,6 +241,16 @@ def demand_only(values: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.
     kept, kept_labels = np.empty(values.size, np.uint32), np.empty(values.size, np.uint8)
     n = keep_demand(values, labels, kept, kept_labels)
     return kept[:n], kept_labels[:n]
+
+
+@kernel
+def demand_rows(nodes, kinds, kept):
+    """Copy the nodes of the rows that are no pre-fetches; return how many."""
+    n = np.uint64(0)
+    for i in range(nodes.size):
+        kept[n] = nodes[i]
+        n += np.uint64(kinds[i] != KIND_PREFETCH)
+    return n
 
 
 @kernel

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from itertools import pairwise
+from math import gcd
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cachesim import lru
+from cachesim import replay as replaying
 from cachesim.config import CacheConfig
+from cachesim.filter import DirectFilter
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
 from cachesim.source import AddressLines
@@ -241,3 +244,65 @@ def test_memory_does_not_grow_with_the_trace(tmp_path, form, rows):
     short, long = measure(paths)
     assert long < short + 30, "MB"  # one uint32 for each access more would be 32 at least
     assert long < 300, "MB"
+
+
+# The exact filter
+
+
+def spied_filters(monkeypatch, least):
+    """Let replay use filters of ``least`` sets and more, and return the list of those it makes."""
+    made = []
+
+    class Spied(DirectFilter):
+        def __init__(self, n_sets, **options):
+            super().__init__(n_sets, **options)
+            made.append((n_sets, self))
+
+    monkeypatch.setattr(replaying, "DirectFilter", Spied)
+    monkeypatch.setattr(replaying, "LEAST_FILTER", least)
+    return made
+
+
+caches = st.builds(
+    lambda sets, ways, line, policy: CacheConfig(sets * ways * line, ways, line, policy),
+    st.sampled_from([1, 2, 4, 6, 8, 12]), st.integers(1, 4), st.sampled_from([4, 16, 16]),
+    st.sampled_from(["lru", "lru", "fifo", "random"]),
+)  # fmt: skip
+
+
+@settings(max_examples=300)
+@given(events, st.lists(caches, min_size=1, max_size=4), prefetchers, st.booleans(), st.lists(st.integers(0, 120), max_size=3))
+def test_the_filter_changes_no_result(trace, grid, prefetch, three_c, cuts):
+    with pytest.MonkeyPatch.context() as patch:
+        made = spied_filters(patch, 2)
+        plain = replay(Listed(trace), grid, prefetch=prefetch, three_c=three_c, is_filtered=False, threads=1)
+        assert not made
+        found = replay(Listed(trace, cuts), grid, prefetch=prefetch, three_c=three_c, threads=1)
+    if three_c or "next-line" in prefetch:
+        assert not made
+    served = {c.line_bytes: gcd(*(d.n_sets for d in grid if d.line_bytes == c.line_bytes and d.n_sets > 1)) for c in grid}
+    if prefetch in ("none", "traced") and not three_c:
+        assert sorted(n for n, _ in made) == sorted(n for n in served.values() if n > 1)
+    for a, b in zip(plain, found, strict=True):
+        assert a.to_dict() == b.to_dict()
+        assert a.n_splits == b.n_splits
+        for name in ("accesses", "misses"):
+            assert getattr(a, name).tolist() == getattr(b, name).tolist()
+
+
+@pytest.mark.parametrize("kind", ["kdtree", "bvh"])
+@pytest.mark.parametrize("prefetch", ["none", "traced", "stack:tris*2:once"])
+@pytest.mark.parametrize("layout", ["stored", "stored+8", "veb"])
+def test_the_filter_changes_no_result_of_a_run(tmp_path, monkeypatch, kind, prefetch, layout):
+    run = write(make_trace(kind, 3, n_rays=300, max_level=9), tmp_path / "run")
+    grid = [CacheConfig(sets * ways * line, ways, line) for line in (32, 64) for sets in (16, 32, 48) for ways in (1, 2, 4)]
+    made = spied_filters(monkeypatch, 16)
+    plain = replay(run, grid, prefetch=prefetch, layout=layout, is_filtered=False)
+    found = replay(run, grid, prefetch=prefetch, layout=layout)
+    assert [n for n, _ in made] == [16, 16]
+    for _, direct in made:
+        assert direct.n_dropped_demand > run.n_accesses // 30
+        assert (direct.n_dropped_prefetches > 0) == (prefetch != "none")
+    assert [a.to_dict() for a in plain] == [b.to_dict() for b in found]
+    n_dropped = sum(direct.n_dropped_demand + direct.n_dropped_prefetches for _, direct in made)
+    assert n_dropped < 2 * sum(plain[0].accesses) + plain[0].n_splits + plain[-1].n_splits

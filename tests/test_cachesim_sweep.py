@@ -295,9 +295,9 @@ def test_the_filter_changes_no_count(trace, n_sets, shapes, cuts):
     cuts = [min(cut, len(trace)) for cut in cuts]
     for keep_first_use in (True, False):
         direct = DirectFilter(n_sets, keep_first_use=keep_first_use)
-        with_filter = [result.to_dict() for result in replay(Filtered(trace, direct, cuts), configs, threads=1)]
+        with_filter = [result.to_dict() for result in replay(Filtered(trace, direct, cuts), configs, is_filtered=False)]
         # The filter saw the trace once; what it dropped were hits, which only the accesses count.
-        for mine, result in zip(with_filter, replay(Listed(trace), configs, threads=1), strict=True):
+        for mine, result in zip(with_filter, replay(Listed(trace), configs, is_filtered=False), strict=True):
             theirs = result.to_dict()
             mine["demand_accesses"] += direct.n_dropped_demand
             mine["prefetch_accesses"] += direct.n_dropped_prefetches
@@ -329,7 +329,7 @@ def test_which_accesses_the_filter_keeps():
 
 def misses_of(trace, config, direct=None):
     source = Listed(trace) if direct is None else Filtered(trace, direct)
-    return replay(source, [config], threads=1)[0].to_dict()
+    return replay(source, [config], is_filtered=False)[0].to_dict()
 
 
 def test_a_filter_with_more_sets_than_the_cache_is_refused_because_it_hides_misses():
