@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import compiling
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 
 if TYPE_CHECKING:
@@ -35,6 +36,12 @@ class BadInput(click.ClickException):
 
 class Commands(click.Group):
     """A group whose commands turn ValueError and OSError, both about inputs, into one sentence."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as a program: what takes long the first time is said."""
+        if not args:
+            compiling.announce = lambda text: click.echo(text, err=True)
+        return super().__call__(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""
@@ -369,6 +376,15 @@ def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | Non
     target = output or Path(f"{opened.name}.{form}")
     written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch)
     click.echo(f"{target}: {written:,} accesses")
+
+
+@nptrace.command(name="compile")
+def compile_() -> None:
+    """Compile everything now, which the first use of each command does otherwise; kept until the program changes."""
+    from jit import CACHE_FOLDER
+
+    n_compiled = compiling.compile_all()
+    click.echo(f"{n_compiled} kernels compiled, all ready in {CACHE_FOLDER}")
 
 
 @click.group(cls=Commands)

@@ -15,7 +15,10 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.core import event
 from platformdirs import user_cache_path
+
+import compiling
 
 _HERE = Path(__file__).parent
 _PACKAGES = ("rtrace", "traces", "cachesim")
@@ -64,6 +67,19 @@ def _forget_old(folder: Path) -> None:
 CACHE_FOLDER = _cache_folder()
 _forget_old(CACHE_FOLDER)
 numba.config.CACHE_DIR = str(CACHE_FOLDER)  # type: ignore[attr-defined]
+
+
+class _Noticed(event.Listener):
+    """Tells ``compiling`` of every kernel that is compiled; one that is loaded from the cache makes no such event."""
+
+    def on_start(self, event: event.Event) -> None:
+        compiling.started(CACHE_FOLDER)
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+event.register("numba:compile", _Noticed())
 
 #: Decorator of every kernel: compiled once per source, releases the GIL, divides by zero as IEEE 754 does, no fastmath
 #: (so no fused multiply-add: the counts are the same on every machine).

@@ -152,6 +152,6 @@ def replay_sequential(lines, ids, next_ids, labels, cache, trigger, distance):
         if label != READ and label != IFETCH:
             continue
         if trigger == ALWAYS or (is_new and (trigger == TAGGED or not was_resident)):
-            request = label | PREFETCH
+            request = np.uint8(label | PREFETCH)
             cache.counts[GENERATED * N_LABELS + request] += 1
             access(cache, line + distance, np.int64(next_ids[i]), request)

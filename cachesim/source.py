@@ -142,6 +142,7 @@ class NodeLines:
 
     def accesses(self, events: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of node reads."""
+        events = read_only(events)
         first = look_up(self._first, events)
         return (first, labels) if self._last is None else split(first, look_up(self._last, events), labels)
 
@@ -150,7 +151,7 @@ class NodeLines:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of node reads that are kept."""
         if direct is not None and self._last is None:
-            return direct.looked_up(self._first, events, labels, totals)
+            return direct.looked_up(self._first, read_only(events), labels, totals)
         return count_and_keep(*self.accesses(events, labels), direct, totals)
 
     def ids(self, lines: np.ndarray) -> np.ndarray:
@@ -262,6 +263,13 @@ def keep_demand(values, labels, kept, kept_labels):
         kept_labels[n] = labels[i]
         n += labels[i] < PREFETCH
     return n
+
+
+def read_only(array: np.ndarray) -> np.ndarray:
+    """Return a view that cannot be written to, as Arrow's arrays cannot: to Numba that is another type, compiled apart."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def look_up(table: np.ndarray, rows: np.ndarray) -> np.ndarray:

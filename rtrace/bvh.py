@@ -173,7 +173,8 @@ def _build(orders, binned, centroids, boxes, nodes, words, prims, n):
     todo = np.empty((n + 1, 4), np.int64)  # node, start, end, level
     todo[0, 0], todo[0, 1], todo[0, 2], todo[0, 3] = 0, 0, n, 0
     n_todo, n_nodes, max_level = 1, 1, 0
-    _box_of(orders[:n], 0, n, boxes, nodes, 0)
+    zero = np.int64(0)
+    _box_of(orders[:n], zero, n, boxes, nodes, zero)
     while n_todo > 0:
         n_todo -= 1
         node, start, end, level = todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3]
