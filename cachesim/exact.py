@@ -81,9 +81,9 @@ def access(cache, line, line_id, label):
     now = fact | TOUCHED
     if cache.three_c:
         if fact & SHADOWED:
-            refresh(cache.shadow, 0, line_id)
+            refresh(cache.shadow, np.int64(0), line_id)
         else:
-            left = insert(cache.shadow, 0, line_id)
+            left = insert(cache.shadow, np.int64(0), line_id)
             if left >= 0:
                 facts[left] &= 255 - SHADOWED
             now |= SHADOWED

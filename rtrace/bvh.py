@@ -172,7 +172,7 @@ def _build(orders, binned, centroids, boxes, nodes, words, prims, n):
     goes_right = np.zeros(n, np.uint8)
     todo = np.empty((n + 1, 4), np.int64)  # node, start, end, level
     todo[0, 0], todo[0, 1], todo[0, 2], todo[0, 3] = 0, 0, n, 0
-    n_todo, n_nodes, max_level = 1, 1, 0
+    n_todo, n_nodes, max_level = 1, np.int64(1), 0
     zero = np.int64(0)
     _box_of(orders[:n], zero, n, boxes, nodes, zero)
     while n_todo > 0:
