@@ -209,7 +209,7 @@ def parse_kd(text: str) -> dict[str, Any]:
     type=click.Choice(["sweep", "binned"]),
     default="sweep",
     show_default=True,
-    help="BVH builder: exact SAH over all centroids, or 16 bins.",
+    help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default="traces", show_default=True, help="Folder for the runs."

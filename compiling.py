@@ -21,7 +21,7 @@ def started(folder: Path) -> None:
 
 
 def compile_all() -> int:
-    """Run every kernel that the commands use on a tiny scene, which compiles what is not in the cache; return how many were."""
+    """Run every kernel of the commands on a tiny scene, which compiles what is not in the cache; return how many were."""
     from cachesim.config import CacheConfig
     from cachesim.replay import replay
     from cachesim.sweep import sweep

@@ -1,4 +1,4 @@
-"""Triangles -> BVH: full-sweep SAH over sorted centroids (Manta's builder), or binned SAH, which is faster to build.
+"""Triangles -> BVH: full-sweep SAH over sorted centroids (Manta's builder), or binned SAH (``rtrace.binned``).
 
 A split is taken when 1 + (A_left n_left + A_right n_right) / A < n, in units of one triangle test (both costs are 1, as in
 Manta's DynBVH): a leaf only when no split pays. There is no other limit on leaf size or depth.
@@ -7,9 +7,10 @@ Manta's DynBVH): a leaf only when no split pays. There is no other limit on leaf
 import numpy as np
 
 from jit import kernel
+from rtrace import binned
 from rtrace.nodes import BVH_NODE, LEAF, Tree
 
-N_BINS = 16
+SMALL_LEAF = 32  # triangles: beyond, NumPy sorts a leaf; 80,000 in one took seconds by insertion
 
 
 @kernel
@@ -82,14 +83,19 @@ def _partition(ids, start, end, goes_right, scratch):
 
 
 @kernel
-def _sort_ids(ids, start, end, prims):
-    """Copy ids[start:end] to prims in ascending order (insertion sort: leaves are small)."""
-    for i in range(start, end):
-        x, j = ids[i], i
-        while j > start and prims[j - 1] > x:
-            prims[j] = prims[j - 1]
-            j -= 1
-        prims[j] = x
+def _sort_small_leaves(words, n_nodes, prims):
+    """Bring the triangles of small leaves into ascending order (insertion sort)."""
+    for node in range(n_nodes):
+        count = np.int64(words[8 * node + 7] >> 2)
+        if words[8 * node + 7] & 3 != LEAF or count > SMALL_LEAF:
+            continue
+        start = np.int64(words[8 * node + 6])
+        for i in range(start + 1, start + count):
+            x, j = prims[i], i
+            while j > start and prims[j - 1] > x:
+                prims[j] = prims[j - 1]
+                j -= 1
+            prims[j] = x
 
 
 @kernel
@@ -107,67 +113,12 @@ def _sweep_split(orders, n, start, end, boxes, right_area, longest):
 
 
 @kernel
-def _bin_of(x, low, scale):
-    return min(np.int64((x - low) * scale), N_BINS - 1)
-
-
-@kernel
-def _binned_split(ids, start, end, centroids, boxes, bins, counts, right_area):
-    """Return (cost, axis, cut, low, scale) of the cheapest of the planes between bins; cut < 0 when all centroids coincide.
-
-    ``_bin_of(centroid, low, scale) < cut`` goes left. ``bins`` (N_BINS, 6), ``counts`` and ``right_area`` are scratch.
-    """
-    best, axis, cut, best_low, best_scale = np.inf, 0, -1, 0.0, 0.0
-    for k in range(3):
-        low = high = centroids[3 * ids[start] + k]
-        for i in range(start, end):
-            low, high = min(low, centroids[3 * ids[i] + k]), max(high, centroids[3 * ids[i] + k])
-        if not high > low:
-            continue
-        scale = N_BINS / (high - low)
-        if scale == np.inf:
-            continue
-        for j in range(N_BINS):
-            counts[j] = 0
-            for c in range(3):
-                bins[j, c], bins[j, c + 3] = np.float32(np.inf), np.float32(-np.inf)
-        for i in range(start, end):
-            j = _bin_of(centroids[3 * ids[i] + k], low, scale)
-            counts[j] += 1
-            b = 6 * ids[i]
-            for c in range(3):
-                bins[j, c], bins[j, c + 3] = min(bins[j, c], boxes[b + c]), max(bins[j, c + 3], boxes[b + c + 3])
-        x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
-        x1, y1, z1 = -x0, -y0, -z0
-        for j in range(N_BINS - 1, 0, -1):
-            x0, y0, z0 = min(x0, bins[j, 0]), min(y0, bins[j, 1]), min(z0, bins[j, 2])
-            x1, y1, z1 = max(x1, bins[j, 3]), max(y1, bins[j, 4]), max(z1, bins[j, 5])
-            right_area[j] = _area(x0, y0, z0, x1, y1, z1)
-        x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
-        x1, y1, z1 = -x0, -y0, -z0
-        n_left = 0
-        for j in range(N_BINS - 1):
-            n_left += counts[j]
-            x0, y0, z0 = min(x0, bins[j, 0]), min(y0, bins[j, 1]), min(z0, bins[j, 2])
-            x1, y1, z1 = max(x1, bins[j, 3]), max(y1, bins[j, 4]), max(z1, bins[j, 5])
-            if n_left == 0 or n_left == end - start:
-                continue
-            cost = _area(x0, y0, z0, x1, y1, z1) * n_left + right_area[j + 1] * (end - start - n_left)
-            if cost < best:
-                best, axis, cut, best_low, best_scale = cost, k, j + 1, low, scale
-    return best, axis, cut, best_low, best_scale
-
-
-@kernel
-def _build(orders, binned, centroids, boxes, nodes, words, prims, n):
+def _build(orders, boxes, nodes, words, prims, n):
     """Fill nodes (flat float32 and uint32 views) and prims depth-first; return (number of nodes, deepest level).
 
-    ``orders`` holds the triangles sorted by centroid along x, y and z, one after another; or, for the binned builder, the
-    triangles once, in any order.
+    ``orders`` holds the triangles sorted by centroid along x, y and z, one after another. Those of a leaf are in any order.
     """
-    n_orders = orders.size // n
-    right_area = np.empty(max(n, N_BINS), np.float64)
-    bins, counts = np.empty((N_BINS, 6), np.float32), np.empty(N_BINS, np.int64)
+    right_area = np.empty(n, np.float64)
     scratch = np.empty(n, np.int32)
     goes_right = np.zeros(n, np.uint8)
     todo = np.empty((n + 1, 4), np.int64)  # node, start, end, level
@@ -181,27 +132,21 @@ def _build(orders, binned, centroids, boxes, nodes, words, prims, n):
         max_level = max(max_level, level)
         w, count = 8 * node, end - start
         area = _area(nodes[w], nodes[w + 1], nodes[w + 2], nodes[w + 3], nodes[w + 4], nodes[w + 5])
-        cost, axis, position, cut, low, scale = np.inf, 0, -1, -1, 0.0, 0.0
-        if count > 1 and binned:
-            cost, axis, cut, low, scale = _binned_split(orders, start, end, centroids, boxes, bins, counts, right_area)
-        elif count > 1:
+        cost, axis, position = np.inf, 0, -1
+        if count > 1:
             cost, axis, position = _sweep_split(orders, n, start, end, boxes, right_area, _longest_axis(nodes, w))
         # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
         # cost of "no split", times nothing, is no split either.)
         if not area + cost < area * count:
-            _sort_ids(orders[:n], start, end, prims)
+            prims[start:end] = orders[start:end]
             words[w + 6], words[w + 7] = start, count << 2 | LEAF
             continue
-        order = orders[:n] if binned else orders[axis * n : (axis + 1) * n]
+        order = orders[axis * n : (axis + 1) * n]
         for i in range(start, end):
-            goes_right[order[i]] = _bin_of(centroids[3 * order[i] + axis], low, scale) >= cut if binned else i >= position
-        for k in range(n_orders):
-            if binned or k != axis:
+            goes_right[order[i]] = i >= position
+        for k in range(3):
+            if k != axis:
                 _partition(orders[k * n : (k + 1) * n], start, end, goes_right, scratch)
-        if binned:
-            position = start
-            while not goes_right[order[position]]:
-                position += 1
         words[w + 6], words[w + 7] = n_nodes, axis
         _box_of(order, start, position, boxes, nodes, n_nodes)
         _box_of(order, position, end, boxes, nodes, n_nodes + 1)
@@ -221,7 +166,7 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     triangles : (n, 3, 3) float32
         Finite; n from 1 to 2^29.
     builder : {"sweep", "binned"}
-        Exact SAH over all centroid orders, or the cheapest of 16 bins per axis.
+        Exact SAH over all centroid orders, or the cheapest plane between up to 16 bins per axis (``rtrace.binned``).
 
     Raises
     ------
@@ -236,20 +181,23 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
         raise ValueError(f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}")
     n = len(triangles)
     triangles = np.ascontiguousarray(triangles)
-    boxes = np.concatenate([triangles.min(axis=1), triangles.max(axis=1)], axis=1)
-    nodes = np.zeros(2 * n, BVH_NODE)
-    prims = np.empty(n, np.int32)
-    # Twice the centre of the box, in float64: the sum of two float32 does not overflow there.
-    centroids = boxes[:, :3].astype(np.float64) + boxes[:, 3:]
+    nodes, prims = np.zeros(2 * n, BVH_NODE), np.empty(n, np.int32)
+    flat, words = nodes.view(np.float32), nodes.view(np.uint32)
     if builder == "sweep":
+        boxes = np.concatenate([triangles.min(axis=1), triangles.max(axis=1)], axis=1)
+        # Twice the centre of the box, in float64: the sum of two float32 does not overflow there.
+        centroids = boxes[:, :3].astype(np.float64) + boxes[:, 3:]
         orders = np.concatenate([np.argsort(centroids[:, k], kind="stable") for k in range(3)]).astype(np.int32)
+        n_nodes, max_level = _build(orders, boxes.reshape(-1), flat, words, prims, n)
     elif builder == "binned":
-        orders = np.arange(n, dtype=np.int32)
+        records, box = np.empty(binned.WORDS * n, np.float32), np.empty(binned.WORDS, np.float32)
+        binned.make_records(triangles.reshape(-1), records, records.view(np.uint32), box)
+        n_nodes, max_level = binned.build_binned(records, records.view(np.uint32), box, flat, words, prims)
     else:
         raise ValueError(f"builder must be 'sweep' or 'binned', got {builder!r}")
-    flat = (boxes.reshape(-1), nodes.view(np.float32), nodes.view(np.uint32), prims)
-    n_nodes, max_level = _build(orders, builder == "binned", centroids.reshape(-1), *flat, n)
-    bounds = np.stack([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
-    return Tree(
-        "bvh", nodes[:n_nodes].copy(), prims, triangles[prims], triangles, bounds, int(max_level), {"builder": builder}
-    )
+    nodes = nodes[:n_nodes].copy()
+    _sort_small_leaves(words, n_nodes, prims)
+    for leaf in nodes[((nodes["meta"] & 3) == LEAF) & (nodes["meta"] >> 2 > SMALL_LEAF)]:
+        prims[leaf["child"] : leaf["child"] + (leaf["meta"] >> 2)].sort()
+    bounds = np.stack([nodes["lower"][0], nodes["upper"][0]])
+    return Tree("bvh", nodes, prims, triangles[prims], triangles, bounds, int(max_level), {"builder": builder})

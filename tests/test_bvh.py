@@ -90,12 +90,80 @@ def reference_sweep(triangles):
 def test_sweep_equals_brute_force(corners):
     triangles = np.array(corners, np.float32).reshape(-1, 3, 3)
     tree = build_bvh(triangles)
-    want = reference_sweep(triangles)
+    assert_is_reference(tree, reference_sweep(triangles))
+
+
+def reference_binned(triangles):
+    """As ``reference_sweep``, every plane between bins tried: 4 + n / 20 bins per axis, at most 16."""
+    lower, upper = triangles.min(axis=1), triangles.max(axis=1)
+    centre = lower.astype(np.float64) + upper
+    nodes = [None]
+
+    def split(slot, ids):
+        n = len(ids)
+        box = half_area(lower[ids].min(axis=0), upper[ids].max(axis=0))
+        n_bins, best = min(4 + n // 20, 16), None
+        for axis in range(3):
+            low = centre[ids, axis].min()
+            with np.errstate(divide="ignore"):
+                scale = n_bins / (centre[ids, axis].max() - low)
+            if scale == np.inf:
+                continue
+            bins = np.minimum(((centre[ids, axis] - low) * scale).astype(int), n_bins - 1)
+            for cut in range(1, n_bins):
+                left = [i for i, b in zip(ids, bins, strict=True) if b < cut]
+                right = [i for i, b in zip(ids, bins, strict=True) if b >= cut]
+                if not left or not right:
+                    continue
+                cost = half_area(lower[left].min(axis=0), upper[left].max(axis=0)) * len(left)
+                cost += half_area(lower[right].min(axis=0), upper[right].max(axis=0)) * len(right)
+                if best is None or cost < best[0]:
+                    best = cost, axis, left, right
+        if best is None or not box + best[0] < box * n:
+            nodes[slot] = (n, None, sorted(ids))
+            return
+        nodes[slot] = (n, best[1], sorted(ids))
+        at = len(nodes)
+        nodes.extend([None, None])
+        split(at, best[2])
+        split(at + 1, best[3])
+
+    split(0, list(range(len(triangles))))
+    return nodes
+
+
+def assert_is_reference(tree, want):
     assert len(tree.nodes) == len(want)
     for node, (n, axis, ids) in zip(tree.nodes, want, strict=True):
         assert (node["meta"] & 3) == (LEAF if axis is None else axis)
         if axis is None:
             assert tree.prims[node["child"] : node["child"] + n].tolist() == ids
+
+
+@given(triangle_lists)
+@settings(max_examples=150)
+def test_binned_equals_brute_force(corners):
+    triangles = np.array(corners, np.float32).reshape(-1, 3, 3)
+    assert_is_reference(build_bvh(triangles, builder="binned"), reference_binned(triangles))
+
+
+@pytest.mark.parametrize("triangles", [icosphere(2), height_field(12), boxes(), soup(600, seed=9)])
+def test_binned_equals_brute_force_with_many_bins(triangles):
+    assert_is_reference(build_bvh(triangles, builder="binned"), reference_binned(triangles))
+
+
+@pytest.mark.parametrize("builder", ["sweep", "binned"])
+def test_a_large_leaf_is_in_ascending_order(builder):
+    tree = build_bvh(np.repeat(soup(1, seed=0), 80_000, axis=0), builder=builder)
+    assert len(tree.nodes) == 1 and tree.prims.tolist() == list(range(80_000))
+
+
+def test_zeros_have_no_sign():
+    """Which of 0 and -0 is the lesser is left to the processor; a tree must not be."""
+    triangles = np.where(soup(300, seed=3) < 0.5, np.float32(-0.0), np.float32(1.0))
+    nodes = build_bvh(triangles, builder="binned").nodes
+    for corner in ("lower", "upper"):
+        assert not np.signbit(nodes[corner]).any()
 
 
 @given(triangle_lists, st.sampled_from(["sweep", "binned"]))

@@ -35,7 +35,7 @@ run(cli.nptrace, "render", "court", "--accel", "bvh", "--bvh", "binned", "--batc
 run(cli.nptrace, "check", "blob", *small, "--random", "50")
 run(cli.nptrace, "export", "traces/blob-bvh", "--to", "din")
 run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "lru,fifo,random", "--line", "16,32,64")
-run(cli.npcache, "replay", "--3c", "--layout", "veb,bfs,dfs,treelet:256", "--prefetch", "none,stack:tris*2:once,next-line:miss")
+run(cli.npcache, "replay", "--3c", "--layout", "veb,bfs,dfs,treelet:256", "--prefetch", "none,stack:once,next-line:miss")
 run(cli.npcache, "replay", "blob-bvh.din", "--line", "8,32")
 run(cli.npcache, "sweep", "--ways", "1..24,full", "--prefetch", "traced,stack")
 print(compiling.n_compiled)
@@ -52,7 +52,9 @@ def test_no_kernel_is_compiled_twice_and_nothing_after_compile(tmp_path):
     """Read-only and other arrays, int64 and a literal are different types to Numba: each would be a compilation more."""
     seen = set()
     for line in python(SIGNATURES, tmp_path).stdout.splitlines():
-        same = re.sub(r"Literal\[int\]\(\d+\)", "int64", re.sub(r"nonconst |readonly |Array\((\w+, \d, '\w').*?\)", r"\1", line))
+        same = re.sub(
+            r"Literal\[int\]\(\d+\)", "int64", re.sub(r"nonconst |readonly |Array\((\w+, \d, '\w').*?\)", r"\1", line)
+        )
         assert same not in seen, line
         seen.add(same)
     assert len(seen) > 25
@@ -71,8 +73,15 @@ def test_the_first_compilation_is_said_once(monkeypatch):
 
 def test_only_a_program_says_so(tmp_path):
     """On stderr, for a kernel that is really compiled; a warm start says nothing."""
-    code = "import numba, jit, sys, cli; jit.kernel(lambda x: x + 1, cache=False)(int(sys.argv[-1]))"
-    program = f"import compiling, sys; import cli; sys.argv = ['nptrace', '--help']\ntry: cli.nptrace()\nexcept SystemExit: {code[:-len('(int(sys.argv[-1]))')]}(1)"
+    program = """
+import sys, cli
+sys.argv = ["nptrace", "--help"]
+try:
+    cli.nptrace()
+except SystemExit:
+    import jit
+    jit.kernel(lambda x: x + 1, cache=False)(1)
+"""
     done = python(program, tmp_path)
     assert done.stderr.startswith("compiling for this machine, once") and done.stderr.count("\n") == 1
     assert python("import cli, jit; jit.CACHE_FOLDER", tmp_path).stderr == ""
