@@ -19,7 +19,7 @@ from rtrace.nodes import Tree, node_table
 from rtrace.scene import Scene
 from rtrace.shoot import Chunk, shoot
 from rtrace.treecache import cached_tree
-from traces.format import BOX, PREFETCH, PRIMARY, SHADOW, SPLIT, RunWriter
+from traces.format import BOX, PRIMARY, SHADOW, SPLIT, RunWriter
 
 CHUNK = 4096  # pixels: a few ms of work, so that threads end together, and a few MB of accesses
 AHEAD = 2  # chunks traced but not yet written, per thread
@@ -181,11 +181,10 @@ def render(
             run.append("accesses", chunk.accesses)
             n_rays += len(chunk.rays["ray"])
             n_accesses += len(chunk.accesses["ray"])
-            n_prefetches += int(np.count_nonzero(chunk.accesses["kind"] == PREFETCH))
-            is_shadow, is_hit = chunk.rays["type"] == SHADOW, chunk.rays["prim"] >= 0
-            n_shadow += int(is_shadow.sum())
-            n_hits += int((is_hit & ~is_shadow).sum())
-            n_shadowed += int((is_hit & is_shadow).sum())
+            n_prefetches += chunk.n_prefetches
+            n_hits += chunk.n_hits
+            n_shadow += chunk.n_shadow
+            n_shadowed += chunk.n_shadowed
             # The shadow pass shades in full; the primary pass of "all primaries first" leaves every surface lit.
             picture[chunk.pixels] = chunk.colours
             progress(len(chunk.pixels))

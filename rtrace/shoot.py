@@ -5,14 +5,15 @@ gives the same rays, accesses and picture.
 """
 
 import math
+import threading
 from typing import NamedTuple
 
 import numpy as np
 
 from jit import kernel
 from rtrace.nodes import Tree
-from rtrace.traverse import Hits, Rays, trace, trace_recorded
-from traces.format import PRIMARY, SHADOW
+from rtrace.traverse import Hits, Rays, Room, trace, trace_recorded
+from traces.format import PREFETCH, PRIMARY, SHADOW
 
 #: Shadow rays start this far from the surface, and end this far before the light, relative to the largest coordinate: four
 #: units in the last place of float32. No fixed distance is right at every scale (docs/correctness.md).
@@ -22,6 +23,9 @@ OFFSET = 2.0 * 2.0**-22
 LEAST = 2.0**-16
 
 
+_local = threading.local()  # the memory for the events of this thread's chunk, one Room for each type of rays
+
+
 class Chunk(NamedTuple):
     """The rays of some pixels, as columns of the run's tables; ray numbers and first rows start at 0."""
 
@@ -29,6 +33,10 @@ class Chunk(NamedTuple):
     accesses: dict[str, np.ndarray]
     pixels: np.ndarray  # (n,) uint32: y * width + x
     colours: np.ndarray  # (n, 3) uint8
+    n_prefetches: int
+    n_hits: int  # primary rays that hit something
+    n_shadow: int
+    n_shadowed: int
 
 
 @kernel
@@ -138,23 +146,51 @@ def _sequence(n, owner, batch, sequence):
 
 
 @kernel
-def _columns(sequence, n, count, events, shadow_count, shadow_events, ray, node, kind):
-    """Write the accesses of both kinds of rays as columns, in the order of ``sequence``; both event lists are in ray order."""
-    at, primary_at, shadow_at = 0, 0, 0
+def _ray_columns(sequence, n, pixels, owner, width, count, shadow_count, prim, shadow_prim, t, shadow_t,
+                 x, y, type_, first, counts, prims, ts):  # fmt: skip
+    """Write the columns of both kinds of rays in the order of ``sequence``; return how many primary, shadow rays hit."""
+    row, n_hits, n_shadowed = np.uint64(0), 0, 0
+    for i in range(sequence.size):
+        s = sequence[i]
+        if s < n:
+            pixel, c, p, distance = pixels[s], count[s], prim[s], t[s]
+            n_hits += p >= 0
+            type_[i] = PRIMARY
+        else:
+            s -= n
+            pixel, c, p, distance = pixels[owner[s]], shadow_count[s], shadow_prim[s], shadow_t[s]
+            n_shadowed += p >= 0
+            type_[i] = SHADOW
+        x[i], y[i] = pixel % width, pixel // width
+        first[i], counts[i], prims[i], ts[i] = row, c, p, distance
+        row += np.uint64(c)
+    return n_hits, n_shadowed
+
+
+@kernel
+def _accesses(sequence, n, count, events, shadow_count, shadow_events, ray, node, kind):
+    """Write the accesses of both kinds of rays in the order of ``sequence``, both event lists being in ray order.
+
+    Return the number of pre-fetch requests.
+    """
+    at, primary_at, shadow_at = np.uint64(0), np.uint64(0), np.uint64(0)
+    n_prefetches = 0
     for r in range(sequence.size):
         s = sequence[r]
         if s < n:
-            k, source, length = primary_at, events, np.int64(count[s])
+            k, source, length = primary_at, events, np.uint64(count[s])
             primary_at += length
         else:
-            k, source, length = shadow_at, shadow_events, np.int64(shadow_count[s - n])
+            k, source, length = shadow_at, shadow_events, np.uint64(shadow_count[s - n])
             shadow_at += length
         for j in range(length):
             event = source[k + j]
             ray[at + j] = r
             node[at + j] = event >> np.uint32(2)
             kind[at + j] = event & np.uint32(3)
+            n_prefetches += event & np.uint32(3) == PREFETCH
         at += length
+    return n_prefetches
 
 
 def primary_rays(frame: np.ndarray, pixels: np.ndarray, width: int) -> Rays:
@@ -217,18 +253,21 @@ def shoot(
     pass_ : {None, PRIMARY, SHADOW}
         Record both types of rays, or only one (all primaries first takes two passes).
     """
+    if not hasattr(_local, "rooms"):
+        _local.rooms = Room(), Room()
+    rooms = _local.rooms
     primary = primary_rays(frame, pixels, width)
     nothing = np.zeros(len(pixels), np.uint32), np.empty(0, np.uint32)
     if pass_ == SHADOW:
         hits, (count, events) = trace(tree, primary), nothing
     else:
-        hits, count, events = trace_recorded(tree, primary)
+        hits, count, events = trace_recorded(tree, primary, room=rooms[PRIMARY])
     rays, owner, facing, normal = shadow_rays(tree, primary, hits, light)
     if pass_ == PRIMARY:
         shadow, (shadow_count, shadow_events) = Hits(np.empty(0, np.int32), np.empty(0)), nothing
         owner = owner[:0]
     else:
-        shadow, shadow_count, shadow_events = trace_recorded(tree, rays, any_hit=True)
+        shadow, shadow_count, shadow_events = trace_recorded(tree, rays, any_hit=True, room=rooms[SHADOW])
     colours = np.empty((len(pixels), 3), np.uint8)
     _shade(hits.prim, primary.direction, normal, facing, owner, shadow.prim, colours)
 
@@ -237,20 +276,22 @@ def shoot(
     _sequence(n, owner, batch, sequence)
     if pass_ == SHADOW:
         sequence = sequence[sequence >= n]
-    total = len(events) + len(shadow_events)
-    ray, node, kind = np.empty(total, np.uint32), np.empty(total, np.uint32), np.empty(total, np.uint8)
-    _columns(sequence, n, count, events, shadow_count, shadow_events, ray, node, kind)
-    counts = np.concatenate([count, shadow_count])[sequence]
-    pixel = np.concatenate([pixels, pixels[owner]])[sequence]
-    ends = np.cumsum(counts, dtype=np.uint64)
-    columns = {
-        "ray": np.arange(len(sequence), dtype=np.uint32),
-        "x": (pixel % width).astype(np.uint16),
-        "y": (pixel // width).astype(np.uint16),
-        "type": np.where(sequence < n, np.uint8(PRIMARY), np.uint8(SHADOW)),
-        "first": ends - counts,
-        "count": counts,
-        "prim": np.concatenate([hits.prim, shadow.prim])[sequence],
-        "t": np.concatenate([hits.t, shadow.t])[sequence].astype(np.float32),
+    n_rays, total = len(sequence), len(events) + len(shadow_events)
+    accesses: dict[str, np.ndarray] = {"ray": np.empty(total, np.uint32), "node": np.empty(total, np.uint32), "kind": np.empty(total, np.uint8)}
+    n_prefetches = _accesses(sequence, n, count, events, shadow_count, shadow_events, *accesses.values())
+    columns: dict[str, np.ndarray] = {
+        "x": np.empty(n_rays, np.uint16),
+        "y": np.empty(n_rays, np.uint16),
+        "type": np.empty(n_rays, np.uint8),
+        "first": np.empty(n_rays, np.uint64),
+        "count": np.empty(n_rays, np.uint32),
+        "prim": np.empty(n_rays, np.int32),
+        "t": np.empty(n_rays, np.float32),
     }
-    return Chunk(columns, {"ray": ray, "node": node, "kind": kind}, pixels, colours)
+    n_hits, n_shadowed = _ray_columns(
+        sequence, n, pixels, owner, np.uint32(width), count, shadow_count, hits.prim, shadow.prim, hits.t, shadow.t,
+        *columns.values()
+    )  # fmt: skip
+    columns["ray"] = np.arange(n_rays, dtype=np.uint32)
+    n_shadow = n_rays if pass_ == SHADOW else n_rays - n
+    return Chunk(columns, accesses, pixels, colours, n_prefetches, n_hits, n_shadow, n_shadowed)

@@ -90,7 +90,10 @@ _ENCODING: dict[str, Any] = {
 _COLUMN_ENCODING = {
     "accesses": {"kind": "BYTE_STREAM_SPLIT"},
     "rays": {"ray": "DELTA_BINARY_PACKED", "first": "DELTA_BINARY_PACKED", "type": "BYTE_STREAM_SPLIT"},
-    "nodes": {"node": "DELTA_BINARY_PACKED", "address": "DELTA_BINARY_PACKED", "level": "BYTE_STREAM_SPLIT"},
+    "nodes": {
+        **dict.fromkeys(("node", "address"), "DELTA_BINARY_PACKED"),
+        **dict.fromkeys(("parent", "level", "axis", "n_prims"), "BYTE_STREAM_SPLIT"),
+    },
 }
 
 
