@@ -8,6 +8,7 @@ import numpy as np
 
 from jit import kernel
 from rtrace.nodes import BVH_NODE, LEAF, Tree
+from rtrace.sorting import sort
 
 N_BINS = 16
 
@@ -79,17 +80,6 @@ def _partition(ids, start, end, goes_right, scratch):
             at += 1
     for i in range(n_right):
         ids[at + i] = scratch[i]
-
-
-@kernel
-def _sort_ids(ids, start, end, prims):
-    """Copy ids[start:end] to prims in ascending order (insertion sort: leaves are small)."""
-    for i in range(start, end):
-        x, j = ids[i], i
-        while j > start and prims[j - 1] > x:
-            prims[j] = prims[j - 1]
-            j -= 1
-        prims[j] = x
 
 
 @kernel
@@ -188,7 +178,9 @@ def _build(orders, binned, centroids, boxes, nodes, words, prims, n):
         # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
         # cost of "no split", times nothing, is no split either.)
         if not area + cost < area * count:
-            _sort_ids(orders[:n], start, end, prims)
+            for i in range(start, end):
+                prims[i] = orders[i]
+            sort(prims[start:end], count, scratch)
             words[w + 6], words[w + 7] = start, count << 2 | LEAF
             continue
         order = orders[:n] if binned else orders[axis * n : (axis + 1) * n]

@@ -77,7 +77,7 @@ MUTATIONS = [
     Mutation("kd-tree: children swapped", "rtrace/kdtree.py",
              "cell_node[cell], cell_level[cell], cell_refs[cell] = child + 1, level + 1, n_above",
              "cell_node[cell], cell_level[cell], cell_refs[cell] = child, level + 1, n_above", KD),
-    Mutation("kd-tree: leaves not sorted", "rtrace/kdtree.py", "_sort(fresh, n_fresh, spare)\n            for i in range(n):",
+    Mutation("kd-tree: leaves not sorted", "rtrace/kdtree.py", "sort(fresh, n_fresh, spare)\n            for i in range(n):",
              "for i in range(n):", KD),
     Mutation("clipping: one plane of the cell skipped", "rtrace/clip.py", "for side in range(-1, 2, 2):", "for side in range(1, 2, 2):", KD),
     Mutation("clipping: no crossing points", "rtrace/clip.py", "            end += 3\n", "            end += 0\n", KD),
