@@ -26,9 +26,11 @@ from cachesim.exact import (
     make_cache,
     n_resident_unused,
     replay_exact,
+    replay_optimal,
     replay_sequential,
 )
 from cachesim.layout import Layout
+from cachesim.nextuse import NextUse
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.source import Lines, RunSource, Source, demand_only, open_source
 from jit import kernel
@@ -48,8 +50,14 @@ class _Stream:
     def __init__(self, lines: Lines, *, needs_ids: bool, ahead: int) -> None:
         self._source, self._needs_ids, self._ahead = lines, needs_ids, ahead
         self.totals = np.zeros(N_LABELS, np.int64)
-        self.n_ids = 0
-        self.lines = self.labels = self.ids = self.next_ids = np.empty(0, np.uint32)
+        self.n_ids = self.n_before = 0
+        self.lines = self.labels = self.ids = self.next_ids = self.next_use = np.empty(0, np.uint32)
+        self._future: NextUse | None = None
+
+    def look_ahead(self, lines: np.ndarray) -> None:
+        """Take the next piece of the first of two passes, which finds when each line is used next."""
+        self._future = self._future or NextUse()
+        self._future.add(self._source.ids(lines), self._source.n_ids)
 
     def set(self, lines: np.ndarray, labels: np.ndarray) -> None:
         """Take the next piece."""
@@ -60,6 +68,8 @@ class _Stream:
             if self._ahead:
                 self.next_ids = self._source.ids(lines + np.uint32(self._ahead))
             self.n_ids = self._source.n_ids
+        if self._future is not None:
+            self.next_use, self.n_before = self._future.take(lines.size), self._future.n_taken - lines.size
 
 
 class _Counting:
@@ -84,13 +94,16 @@ class _Exact:
     def __init__(self, config: CacheConfig, prefetch: Prefetch, *, three_c: bool) -> None:
         self.cache = make_cache(config, 0, three_c=three_c)
         self._trigger, self._distance = prefetch.trigger, prefetch.distance
+        self._is_optimal = config.policy == "opt"
 
     def step(self, stream: _Stream) -> None:
         """Replay the stream's current piece."""
         if stream.n_ids > self.cache.facts.size:
             self.cache = grow_cache(self.cache, max(stream.n_ids, 2 * self.cache.facts.size))
         piece = (stream.lines, stream.ids)
-        if self._trigger:
+        if self._is_optimal:
+            replay_optimal(*piece, stream.labels, stream.next_use, stream.n_before, self.cache)
+        elif self._trigger:
             replay_sequential(*piece, stream.next_ids, stream.labels, self.cache, self._trigger, self._distance)
         else:
             replay_exact(*piece, stream.labels, self.cache)
@@ -160,11 +173,19 @@ class _Group:
         needs_ids = any(job.needs_ids for job in jobs)
         self._lines = source.lines(line_bytes, ahead)
         self.jobs = jobs
+        self.needs_future = any(job.config.policy == "opt" for job in jobs)
         self.everything = _Stream(self._lines, needs_ids=needs_ids, ahead=ahead)
         self._demand = self.everything
         if prefetch.kind in ("traced", "stack"):
             self._demand = _Stream(self._lines, needs_ids=needs_ids, ahead=0)
         self.n_splits = 0
+
+    def look_ahead(self, events: Any, labels: np.ndarray) -> None:
+        """Take a batch of events of the first of two passes."""
+        lines, line_labels = self._lines.accesses(events, labels)
+        self.everything.look_ahead(lines)
+        if self._demand is not self.everything:
+            self._demand.look_ahead(demand_only(lines, line_labels)[0])
 
     def tasks(self, events: Any, labels: np.ndarray) -> list[tuple[Any, _Stream]]:
         """Take a batch of events; return the caches to step."""
@@ -174,6 +195,15 @@ class _Group:
         if self._demand is not self.everything:
             self._demand.set(*demand_only(lines, line_labels))
         return [task for job in self.jobs for task in job.tasks(self._demand, self.everything)]
+
+
+def check_foreseeable(prefetch: Prefetch) -> None:
+    """Raise a ValueError for a pre-fetcher in the cache: what it requests is not known before the replay."""
+    if prefetch.trigger:
+        raise ValueError(
+            f"opt has to know all accesses beforehand, and {prefetch} requests lines during the replay; use none, traced or "
+            "stack:..., or another policy"
+        )
 
 
 def replay(
@@ -213,6 +243,12 @@ def replay(
     for job in jobs:
         by_line.setdefault(job.config.line_bytes, []).append(job)
     groups = [_Group(source, line_bytes, prefetch, members) for line_bytes, members in by_line.items()]
+    foreseeing = [group for group in groups if group.needs_future]
+    if foreseeing:
+        check_foreseeable(prefetch)
+        for events, labels in source.events(prefetch):
+            for group in foreseeing:
+                group.look_ahead(events, labels)
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         for events, labels in source.events(prefetch):
             tasks = [task for group in groups for task in group.tasks(events, labels)]

@@ -183,7 +183,7 @@ def check(config: CacheConfig) -> None:
     """Raise a ValueError for a cache that one pass cannot count."""
     if config.policy != "lru":
         raise ValueError(
-            f"{config} cannot be swept: under {config.policy} a larger cache need not hold what a smaller one does; "
+            f"{config} cannot be swept: one pass counts lru only, where a larger cache holds what a smaller one does; "
             "sweep lru, or use npcache replay"
         )
     if config.n_sets & (config.n_sets - 1):
