@@ -102,14 +102,13 @@ def write_out(text: str, out: Path | None) -> None:
     if out is None:
         click.echo(text, nl=False)
         return
-    temporary = out.with_name(f".{out.name}.tmp")
+    from traces.whole import whole_file
+
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(out)
+        with whole_file(out) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as e:
         raise BadInput(f"cannot write {out}: {e.strerror}; choose another -o") from e
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @click.group(cls=Commands)
