@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import json
 import math
+import resource
 import struct
 import sys
 import tempfile
@@ -380,6 +381,7 @@ def main() -> None:
     parser.add_argument("-s", "--seed", type=int, default=0)
     parser.add_argument("-o", type=Path, help="write the counts as JSON")
     args = parser.parse_args()
+    resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))  # an input that asks for more is a failure, not the end of all
     rows = []
     for target in TARGETS:
         began, tried = time.perf_counter(), Counter[bool]()
