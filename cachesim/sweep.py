@@ -48,7 +48,7 @@ def parse_ways_range(text: str) -> tuple[str, ...]:
     """Return the numbers of ways that a text such as ``1..16``, ``4`` or ``full`` names, for ``grid``."""
     low, dots, high = text.partition("..")
     if not dots:
-        return (text,)
+        return (text.strip(),)
     try:
         numbers = range(int(low), int(high) + 1)
     except ValueError:
