@@ -1,4 +1,4 @@
-"""Break the program on purpose, one place at a time, and see which test notices: ``python -m tests.mutations [WORD] [-o FILE]``.
+"""Break the program on purpose, one place each, and see which test notices: ``python -m tests.mutations [WORD] [-o FILE]``.
 
 Each mutation replaces one piece of source in a copy of the project and runs the tests that should notice, stopping at the
 first failure. A mutation that no test notices has survived; the exit status is then 1. The result stands in
