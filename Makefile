@@ -8,7 +8,7 @@ THREADS ?= 2
 PAGES := README.md docs/correctness.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test bench lint docs docs-check correctness reproduce-table clean
+.PHONY: help test bench lint docs docs-check correctness fuzz reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -44,9 +44,15 @@ docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SC
 docs-check: $(INSTALLED) ## Fail if a figure in the pages is not what its command prints
 	$(BIN)/cog --check $(PAGES)
 
-correctness: $(INSTALLED) ## Run the hard cases (long form) and all mutations, about an hour, and write docs/correctness.md
+correctness: $(INSTALLED) ## Run all checks, the hard cases (long form) and all mutations, about two hours, and write docs/correctness.md
+	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
+	$(BIN)/python -m tests.checks -o docs/data/checks.json
 	$(BIN)/nptrace check --hard --long --json > docs/data/hard_cases.json
 	$(BIN)/python -m tests.mutations -o docs/data/mutations.csv
+	$(BIN)/cog -r docs/correctness.md
+
+fuzz: $(INSTALLED) ## Try 100,000 inputs nobody would write and put their number into docs/correctness.md (N=1000000: more)
+	$(BIN)/python -m tests.fuzz -n $(or $(N),100000) -o docs/data/fuzz.json
 	$(BIN)/cog -r docs/correctness.md
 
 bench: $(INSTALLED) ## Measure speed against peers, as ratios, and write docs/data/bench.csv (ARGS=--quick: a minute, writes nothing)

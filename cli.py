@@ -109,14 +109,13 @@ def write_out(text: str, out: Path | None) -> None:
     if out is None:
         click.echo(text, nl=False)
         return
-    temporary = out.with_name(f".{out.name}.tmp")
+    from traces.whole import whole_file
+
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(out)
+        with whole_file(out) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as e:
         raise BadInput(f"cannot write {out}: {e.strerror}; choose another -o") from e
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @click.group(cls=Commands)
@@ -398,7 +397,9 @@ def npcache() -> None:
 @list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
 @list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Ways, e.g. 1,2,full.")
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
-@list_option("--policy", item=str.lower, metavar="POLICIES", default="lru", help="lru, fifo, random.")
+@list_option(
+    "--policy", item=str.lower, metavar="POLICIES", default="lru", help="lru, fifo, random; opt: no other has fewer misses."
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the random policy.")
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)

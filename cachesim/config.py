@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-POLICIES = ("lru", "fifo", "random")
+POLICIES = ("lru", "fifo", "random", "opt")
 
 _UNITS = {"": 0, "K": 10, "M": 20, "G": 30}
 
@@ -48,7 +48,9 @@ class CacheConfig:
     line_bytes : int
         A power of two.
     policy : str
-        ``"lru"``, ``"fifo"`` or ``"random"``.
+        ``"lru"``, ``"fifo"``, ``"random"``, or ``"opt"``: of a full set the line goes whose next access is farthest away
+        (Belady 1966). No replacement that fills at every miss, as these do, has fewer misses, demand and pre-fetch together;
+        an access to come counts whoever makes it. A cache that may leave a line out (bypass) could have fewer still.
     seed : int
         Of the random policy. Its generator is SplitMix64, so the victims cannot be those of another program.
     """

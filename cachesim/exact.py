@@ -11,6 +11,7 @@ import numpy as np
 from cachesim.config import CacheConfig
 from cachesim.lists import Lists, grow_lists, insert, make_lists, refresh
 from cachesim.lru import set_mask, set_of
+from cachesim.nextuse import NO_MORE
 from jit import kernel
 
 #: Labels of accesses, as in a DineroIV trace: the low bits are the type, PREFETCH is or-ed.
@@ -32,6 +33,8 @@ UNUSED = 2  # filled by a pre-fetch and not demanded since
 PUSHED_OUT = 4  # a pre-fetch evicted it, and nothing has filled it since
 SHADOWED = 8  # in the fully associative cache of the 3C classification
 TOUCHED = 16  # accessed at least once
+
+_LATE = 1 << 62  # later than every access
 
 
 class Cache(NamedTuple):
@@ -135,6 +138,29 @@ def replay_exact(lines, ids, labels, cache):
     """
     for i in range(lines.size):
         access(cache, np.int64(lines[i]), np.int64(ids[i]), labels[i])
+
+
+@kernel(_nrt=False)
+def replay_optimal(lines, ids, labels, next_use, start, cache):
+    """Replay accesses in order through a cache that knows the future: as ``replay_exact``, under the policy ``opt``.
+
+    Of lines that are not used again, the one goes whose last use is longest ago.
+
+    Parameters
+    ----------
+    next_use : (n,) uint32
+        Number of the next access to the same line, NO_MORE for none.
+    start : int
+        Number of the first of these accesses.
+    """
+    for i in range(lines.size):
+        line_id, due = np.int64(ids[i]), np.int64(next_use[i])
+        if next_use[i] == NO_MORE:
+            due = _LATE - start - i
+        cache.lists.due[line_id] = due
+        if cache.three_c:
+            cache.shadow.due[line_id] = due
+        access(cache, np.int64(lines[i]), line_id, labels[i])
 
 
 @kernel(_nrt=False)

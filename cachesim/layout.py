@@ -115,6 +115,7 @@ def _pair_slots(parents: np.ndarray, node_bytes: int, layout: Layout) -> np.ndar
                 f"a treelet of {layout.block_bytes} B is not a whole number of pairs of {node_bytes}-byte nodes; "
                 f"write e.g. treelet:{max(pairs, 1) * 2 * node_bytes}"
             )
+        pairs = min(pairs, n_units)  # a larger block would hold the whole tree too
         treelet_order(first, next_, pairs, np.empty(n_units, np.int64), np.empty(pairs, np.int64), order)
         first_slots = 2 * _positions(order)
     slots = np.empty(parents.size, np.int64)

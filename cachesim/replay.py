@@ -26,10 +26,12 @@ from cachesim.exact import (
     make_cache,
     n_resident_unused,
     replay_exact,
+    replay_optimal,
     replay_sequential,
 )
 from cachesim.filter import DirectFilter, filter_sets
 from cachesim.layout import Layout
+from cachesim.nextuse import NextUse
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.source import RunSource, Source, demand_only, open_source
 from traces.format import Run
@@ -46,6 +48,8 @@ class _Piece(NamedTuple):
     ids: np.ndarray
     next_ids: np.ndarray  # of the lines that a sequential pre-fetcher would request; else the ids again
     n_ids: int
+    next_use: np.ndarray | None = None  # for opt: number of the next access to the same line; the first here has n_before
+    n_before: int = 0
 
 
 _Task = tuple[Callable[[_Piece], None], _Piece]
@@ -72,13 +76,16 @@ class _Exact:
     def __init__(self, config: CacheConfig, prefetch: Prefetch, *, three_c: bool) -> None:
         self.cache = make_cache(config, 0, three_c=three_c)
         self._trigger, self._distance = prefetch.trigger, prefetch.distance
+        self._is_optimal = config.policy == "opt"
 
     def step(self, piece: _Piece) -> None:
         """Replay a piece."""
-        lines, labels, ids, next_ids, n_ids = piece
+        lines, labels, ids, next_ids, n_ids, next_use, n_before = piece
         if n_ids > self.cache.facts.size:
             self.cache = grow_cache(self.cache, max(n_ids, 2 * self.cache.facts.size))
-        if self._trigger:
+        if self._is_optimal:
+            replay_optimal(lines, ids, labels, next_use, n_before, self.cache)
+        elif self._trigger:
             replay_sequential(lines, ids, next_ids, labels, self.cache, self._trigger, self._distance)
         else:
             replay_exact(lines, ids, labels, self.cache)
@@ -152,6 +159,8 @@ class _Group:
     def __init__(self, source: Source, line_bytes: int, prefetch: Prefetch, jobs: list[_Job], filter_of: int) -> None:
         self.jobs = jobs
         self.totals = np.zeros(N_LABELS, np.int64)
+        self.needs_future = any(job.config.policy == "opt" for job in jobs)
+        self._futures = NextUse(), NextUse()  # of all accesses, and of the demand accesses alone
         self.n_splits = 0
         self._ahead = prefetch.distance
         self._needs_ids = any(job.needs_ids for job in jobs)
@@ -160,21 +169,31 @@ class _Group:
         # With first uses kept, what is left of the demand accesses is also exact for the demand stream alone.
         self._filter = DirectFilter(filter_of, keep_first_use=self._has_requests) if filter_of else None
 
+    def look_ahead(self, events: Any, labels: np.ndarray) -> None:
+        """Take a batch of events of the first of two passes, which finds when each line is used next."""
+        lines, line_labels = self._lines.accesses(events, labels)
+        ids = self._lines.ids(lines)
+        self._futures[0].add(ids, self._lines.n_ids)
+        if self._has_requests:
+            self._futures[1].add(demand_only(ids, line_labels)[0], self._lines.n_ids)
+
     def tasks(self, events: Any, labels: np.ndarray) -> list[_Task]:
         """Take a batch of events; return the caches to step."""
         n_before = int(self.totals.sum())
         lines, line_labels = self._lines.counted(events, labels, self._filter, self.totals)
         self.n_splits += int(self.totals.sum()) - n_before - labels.size
-        everything = demand = self._piece(lines, line_labels)
+        everything = demand = self._piece(lines, line_labels, self._futures[0])
         if self._has_requests:
-            demand = self._piece(*demand_only(lines, line_labels))
+            demand = self._piece(*demand_only(lines, line_labels), self._futures[1])
         return [task for job in self.jobs for task in job.tasks(demand, everything)]
 
-    def _piece(self, lines: np.ndarray, labels: np.ndarray) -> _Piece:
+    def _piece(self, lines: np.ndarray, labels: np.ndarray, future: NextUse) -> _Piece:
         ids = next_ids = self._lines.ids(lines) if self._needs_ids else lines
         if self._ahead:
             next_ids = self._lines.ids(lines + np.uint32(self._ahead))
-        return _Piece(lines, labels, ids, next_ids, self._lines.n_ids)
+        n_before = future.n_taken
+        next_use = future.take(lines.size) if self.needs_future else None
+        return _Piece(lines, labels, ids, next_ids, self._lines.n_ids, next_use, n_before)
 
 
 def _groups(source: Source, jobs: list[_Job], prefetch: Prefetch, *, is_filtered: bool) -> list[_Group]:
@@ -184,13 +203,22 @@ def _groups(source: Source, jobs: list[_Job], prefetch: Prefetch, *, is_filtered
         by_line.setdefault(job.config.line_bytes, []).append(job)
     groups = []
     for line_bytes, members in by_line.items():
-        served = [job for job in members if is_filtered and job.config.n_sets >= LEAST_FILTER]
+        served = [job for job in members if is_filtered and job.config.n_sets >= LEAST_FILTER and job.config.policy != "opt"]
         n_sets = filter_sets([job.config for job in served])
         if n_sets < LEAST_FILTER:
             served, n_sets = [], 0
         others = [job for job in members if job not in served]
         groups += [_Group(source, line_bytes, prefetch, part, n) for part, n in ((served, n_sets), (others, 0)) if part]
     return groups
+
+
+def check_foreseeable(prefetch: Prefetch) -> None:
+    """Raise a ValueError for a pre-fetcher in the cache: what it requests is not known before the replay."""
+    if prefetch.trigger:
+        raise ValueError(
+            f"opt has to know all accesses beforehand, and {prefetch} requests lines during the replay; use none, traced or "
+            "stack:..., or another policy"
+        )
 
 
 def replay(
@@ -231,6 +259,12 @@ def replay(
     jobs = [_Job(config, prefetch, three_c=three_c) for config in configs]
     is_filtered = is_filtered and not three_c and not prefetch.trigger
     groups = _groups(source, jobs, prefetch, is_filtered=is_filtered)
+    foreseeing = [group for group in groups if group.needs_future]
+    if foreseeing:
+        check_foreseeable(prefetch)
+        for events, labels in source.events(prefetch):
+            for group in foreseeing:
+                group.look_ahead(events, labels)
     running: list[Future[None]] = []
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         for events, labels in source.events(prefetch):

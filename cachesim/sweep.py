@@ -31,6 +31,9 @@ from cachesim.reuse import StackDistances, check_one_pass
 from cachesim.source import RunSource, Source, demand_only, open_source
 from traces.format import Run
 
+#: Most numbers of ways in one range.
+MAX_RANGE = 4096
+
 
 def parse_range(text: str) -> tuple[int, int]:
     """Return the lowest and highest byte size that a text such as ``4K..64K`` or ``8K`` names."""
@@ -45,14 +48,16 @@ def parse_ways_range(text: str) -> tuple[str, ...]:
     """Return the numbers of ways that a text such as ``1..16``, ``4`` or ``full`` names, for ``grid``."""
     low, dots, high = text.partition("..")
     if not dots:
-        return (text,)
+        return (text.strip(),)
     try:
-        ways = tuple(str(n) for n in range(int(low), int(high) + 1))
+        numbers = range(int(low), int(high) + 1)
     except ValueError:
         raise ValueError(f"{text!r} is not a range of ways; write e.g. 1..16") from None
-    if not ways:
+    if not numbers:
         raise ValueError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
-    return ways
+    if numbers[-1] - numbers[0] >= MAX_RANGE:
+        raise ValueError(f"{text!r} names more than {MAX_RANGE} numbers of ways; write e.g. 1..16")
+    return tuple(map(str, numbers))
 
 
 def grid(sizes: Sequence[tuple[int, int]], ways: Sequence[str], line_bytes: Sequence[int]) -> list[CacheConfig]:
@@ -183,7 +188,7 @@ def check(config: CacheConfig) -> None:
     """Raise a ValueError for a cache that one pass cannot count."""
     if config.policy != "lru":
         raise ValueError(
-            f"{config} cannot be swept: under {config.policy} a larger cache need not hold what a smaller one does; "
+            f"{config} cannot be swept: one pass counts lru only, where a larger cache holds what a smaller one does; "
             "sweep lru, or use npcache replay"
         )
     if config.n_sets & (config.n_sets - 1):

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ import pyarrow.parquet as pq
 
 from cachesim.config import format_bytes
 from cachesim.sweep import Row
+from traces.whole import whole_file
 
 
 def to_csv(rows: Sequence[Row]) -> str:
@@ -42,14 +42,11 @@ def _whole(path: Path, endings: set[str]) -> Iterator[Path]:
     """Yield a temporary name that becomes ``path`` if nothing is raised."""
     if path.suffix not in endings:
         raise ValueError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
-        yield temporary
-        temporary.replace(path)
+        with whole_file(path) as temporary:
+            yield temporary
     except OSError as e:
         raise ValueError(f"cannot write {path}: {e.strerror or e}; choose another name") from e
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:

@@ -81,6 +81,63 @@ def embree(cog) -> None:
         cog.outl(f"| {rays} | {what} | {len(of)} | {n_rays:,} | {worst['value']:.3g} | {worst['limit']:.3g} |")
 
 
+def checks(cog) -> None:
+    """Write what ``python -m tests.checks`` counted: all tests, a line per file and below it one per check."""
+    sys.path.insert(0, str(ROOT))
+    from tests.checks import what_files_check
+
+    rows = {row["check"]: row for row in json.loads((DATA / "checks.json").read_text(encoding="utf-8"))}
+    n_tests, n_cases = (sum(row[name] for row in rows.values()) for name in ("tests", "cases"))
+    failed, skipped, expected = (
+        sum(row[name] for row in rows.values()) for name in ("failed", "skipped", "expected failures")
+    )
+    cog.outl(f"{len(rows)} checks, {n_tests:,} tests, {n_cases:,} cases: {failed} failed, {skipped} skipped, "
+             f"{expected} known to fail.\n")  # fmt: skip
+    cog.outl("| check | tests | cases | largest error | result |")
+    cog.outl("| --- | ---: | ---: | ---: | --- |")
+    for file, what in what_files_check().items():
+        of = [row for name, row in rows.items() if name.split("::")[0] == file]
+        if not of:
+            continue
+        cog.outl(f"| **{file}**: {_cell(what)} | **{sum(row['tests'] for row in of):,}** | "
+                 f"**{sum(row['cases'] for row in of):,}** | | |")  # fmt: skip
+        for row in of:
+            name = row["check"].split("::test_")[1].replace("_", " ")
+            error = "" if row["largest error"] is None else f"{row['largest error']:.2g}"
+            cog.outl(f"| {_cell(name)} | {row['tests']:,} | {row['cases']:,} | {error} | {_result(row)} |")
+
+
+def _result(row) -> str:
+    parts = [f"{row[name]} {name}" for name in ("failed", "skipped", "expected failures") if row[name]]
+    return ", ".join(parts) or "passed"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("``", "`")
+
+
+def open_list(cog) -> None:
+    """Write which tests and hard cases cover each entry of the open list."""
+    sys.path.insert(0, str(ROOT))
+    from tests.open_list import OPEN_LIST
+
+    cog.outl("| | hard case | covered by |")
+    cog.outl("| --- | --- | --- |")
+    for entry in OPEN_LIST:
+        cog.outl(f"| {entry.name} | {entry.what} | {', '.join(entry.covered_by) or '**nothing yet**'} |".replace("::", ": "))
+
+
+def fuzz(cog) -> None:
+    """Write how many inputs ``make fuzz`` tried."""
+    data = json.loads((DATA / "fuzz.json").read_text(encoding="utf-8"))
+    total = sum(row["tried"] for row in data["rows"])
+    cog.outl(f"{total:,} inputs (seed {data['seed']}); not one did anything else.\n")
+    cog.outl("| inputs | tried | accepted | refused |")
+    cog.outl("| --- |" + " ---: |" * 3)
+    for row in data["rows"]:
+        cog.outl(f"| {row['inputs']} | {row['tried']:,} | {row['accepted']:,} | {row['refused']:,} |")
+
+
 def mutations(cog) -> None:
     """Write which test noticed each mutation."""
     with open(DATA / "mutations.csv", encoding="utf-8") as file:

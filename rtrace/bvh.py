@@ -9,8 +9,7 @@ import numpy as np
 from jit import kernel
 from rtrace import binned
 from rtrace.nodes import BVH_NODE, LEAF, Tree
-
-SMALL_LEAF = 32  # triangles: beyond, NumPy sorts a leaf; 80,000 in one took seconds by insertion
+from rtrace.sorting import sort
 
 
 @kernel
@@ -83,19 +82,12 @@ def _partition(ids, start, end, goes_right, scratch):
 
 
 @kernel
-def _sort_small_leaves(words, n_nodes, prims):
-    """Bring the triangles of small leaves into ascending order (insertion sort)."""
+def _sort_leaves(words, n_nodes, prims, spare):
+    """Bring the triangles of every leaf into ascending order."""
     for node in range(n_nodes):
-        count = np.int64(words[8 * node + 7] >> 2)
-        if words[8 * node + 7] & 3 != LEAF or count > SMALL_LEAF:
-            continue
-        start = np.int64(words[8 * node + 6])
-        for i in range(start + 1, start + count):
-            x, j = prims[i], i
-            while j > start and prims[j - 1] > x:
-                prims[j] = prims[j - 1]
-                j -= 1
-            prims[j] = x
+        if words[8 * node + 7] & 3 == LEAF:
+            start, count = np.int64(words[8 * node + 6]), np.int64(words[8 * node + 7] >> 2)
+            sort(prims[start : start + count], count, spare)
 
 
 @kernel
@@ -196,8 +188,6 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     else:
         raise ValueError(f"builder must be 'sweep' or 'binned', got {builder!r}")
     nodes = nodes[:n_nodes].copy()
-    _sort_small_leaves(words, n_nodes, prims)
-    for leaf in nodes[((nodes["meta"] & 3) == LEAF) & (nodes["meta"] >> 2 > SMALL_LEAF)]:
-        prims[leaf["child"] : leaf["child"] + (leaf["meta"] >> 2)].sort()
+    _sort_leaves(words, n_nodes, prims, np.empty(n, np.int32))
     bounds = np.stack([nodes["lower"][0], nodes["upper"][0]])
     return Tree("bvh", nodes, prims, triangles[prims], triangles, bounds, int(max_level), {"builder": builder})

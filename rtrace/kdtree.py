@@ -21,6 +21,7 @@ import numpy as np
 from jit import kernel
 from rtrace.clip import POLYGON, split_bounds, value
 from rtrace.nodes import KD_NODE, LEAF, Tree, words
+from rtrace.sorting import sort
 
 # An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
 # what lies in it, and that before what starts there.
@@ -180,35 +181,6 @@ def _partition(events, axis, begin, end, n_straddlers, side, slot, straddlers, b
 
 
 @kernel
-def _sort(keys, n, spare):
-    """Sort keys[:n]: runs of 16 by insertion, then merged pairwise (np.sort would cost 1.7 s of compile time)."""
-    for begin in range(0, n, 16):
-        for i in range(begin + 1, min(begin + 16, n)):
-            key = keys[i]
-            j = i
-            while j > begin and keys[j - 1] > key:
-                keys[j] = keys[j - 1]
-                j -= 1
-            keys[j] = key
-    run = 16
-    while run < n:
-        for begin in range(0, n - run, 2 * run):
-            end = min(begin + 2 * run, n)
-            for i in range(run):
-                spare[i] = keys[begin + i]
-            i, j, out = 0, begin + run, begin
-            while i < run:
-                if j < end and keys[j] < spare[i]:
-                    keys[out] = keys[j]
-                    j += 1
-                else:
-                    keys[out] = spare[i]
-                    i += 1
-                out += 1
-        run *= 2
-
-
-@kernel
 def _renew(cut, axis, n_cut, slot, bounds, fresh):
     """Write the straddlers' events, moved to new bounds, to ``fresh``; return their number."""
     n = np.int64(0)
@@ -275,7 +247,7 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         n_refs = state[_PENDING] - n + n_below + n_above
         if axis == LEAF or n_refs > ceiling[cell]:
             n_fresh = _list_triangles(events, begin[3 * cell], end[3 * cell], fresh)
-            _sort(fresh, n_fresh, spare)
+            sort(fresh, n_fresh, spare)
             for i in range(n):
                 prims[state[_REFS] + i] = fresh[i]
             uints[2 * node] = state[_REFS]
@@ -298,13 +270,13 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         for k in range(3):
             at, n_kept, n_cut = 3 * cell + k, counts[k], counts[3 + k]
             n_fresh = _renew(cut, k, n_cut, slot, above, fresh)
-            _sort(fresh, n_fresh, spare)
+            sort(fresh, n_fresh, spare)
             middle = _merge(events, k, begin[at], counts[6 + k], fresh, n_fresh)
             for i in range(n_kept):
                 events[k, middle + i] = kept[k, i]
             end[at], begin[at + 3] = middle, middle
             n_fresh = _renew(cut, k, n_cut, slot, below, fresh)
-            _sort(fresh, n_fresh, spare)
+            sort(fresh, n_fresh, spare)
             end[at + 3] = _merge(events, k, middle, middle + n_kept, fresh, n_fresh)
             boxes[6 * cell + 6 + k], boxes[6 * cell + 9 + k] = boxes[6 * cell + k], boxes[6 * cell + 3 + k]
         split, child = value(plane >> 32), state[_NODES]

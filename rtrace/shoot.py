@@ -277,7 +277,11 @@ def shoot(
     if pass_ == SHADOW:
         sequence = sequence[sequence >= n]
     n_rays, total = len(sequence), len(events) + len(shadow_events)
-    accesses: dict[str, np.ndarray] = {"ray": np.empty(total, np.uint32), "node": np.empty(total, np.uint32), "kind": np.empty(total, np.uint8)}
+    accesses: dict[str, np.ndarray] = {
+        "ray": np.empty(total, np.uint32),
+        "node": np.empty(total, np.uint32),
+        "kind": np.empty(total, np.uint8),
+    }
     n_prefetches = _accesses(sequence, n, count, events, shadow_count, shadow_events, *accesses.values())
     columns: dict[str, np.ndarray] = {
         "x": np.empty(n_rays, np.uint16),

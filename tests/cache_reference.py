@@ -52,12 +52,39 @@ class Contents:
         return False, victim
 
 
-class Cache:
-    """One cache with everything that is counted, in the words of the account."""
+class Foreseeing:
+    """Which lines a cache holds that knows every line to come (Belady 1966): it looks ahead at every eviction."""
 
-    def __init__(self, config):
-        self.contents = Contents(config.n_sets, config.ways, config.policy, config.seed)
-        self.shadow = Contents(1, config.n_lines, config.policy, config.seed ^ 0x5DEECE66D)
+    def __init__(self, n_sets, ways, future):
+        self.sets = [[] for _ in range(n_sets)]  # of each set, the line longest not accessed first
+        self.ways, self.future, self.now = ways, future, 0
+
+    def access(self, line):
+        """Return (hit, the line evicted or None)."""
+        assert self.future[self.now] == line
+        self.now += 1
+        held, victim = self.sets[line % len(self.sets)], None
+        hit = line in held
+        if hit:
+            held.remove(line)
+        elif len(held) == self.ways:
+            to_come = self.future[self.now :]
+            distance = [to_come.index(other) if other in to_come else len(to_come) for other in held]
+            victim = held.pop(distance.index(max(distance)))  # of several that never come, the one accessed longest ago
+        held.append(line)
+        return hit, victim
+
+
+class Cache:
+    """One cache with everything that is counted, in the words of the account; ``opt`` needs the lines to come."""
+
+    def __init__(self, config, future=None):
+        if config.policy == "opt":
+            self.contents = Foreseeing(config.n_sets, config.ways, future)
+            self.shadow = Foreseeing(1, config.n_lines, future)
+        else:
+            self.contents = Contents(config.n_sets, config.ways, config.policy, config.seed)
+            self.shadow = Contents(1, config.n_lines, config.policy, config.seed ^ 0x5DEECE66D)
         self.touched = set()
         self.unused = set()  # resident, filled by a pre-fetch, not demanded yet
         self.pushed_out = set()  # evicted by a pre-fetch and not filled since

@@ -1,8 +1,8 @@
-"""Break the program on purpose, one place at a time, and see which test notices: ``python -m tests.mutations [-o FILE.csv]``.
+"""Break the program on purpose, one place each, and see which test notices: ``python -m tests.mutations [WORD] [-o FILE]``.
 
 Each mutation replaces one piece of source in a copy of the project and runs the tests that should notice, stopping at the
 first failure. A mutation that no test notices has survived; the exit status is then 1. The result stands in
-docs/correctness.md.
+docs/correctness.md. With words, only mutations that have one of them are tried, and only their lines of FILE change.
 """
 
 import csv
@@ -13,7 +13,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.mutation_list import MUTATIONS, Mutation
+from tests import mutation_list, mutation_list_caches
+from tests.mutation_list import Mutation
+
+MUTATIONS = [*mutation_list.MUTATIONS, *mutation_list_caches.MUTATIONS]
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -48,19 +51,30 @@ def main() -> None:
     words = sys.argv[1:]
     out = Path(words.pop(words.index("-o") + 1)) if "-o" in words else None
     words = [word for word in words if word != "-o"]
-    rows = []
+    rows: dict[str, tuple[str, str, str]] = {}
     for mutation in MUTATIONS:
         if words and not any(word in mutation.what for word in words):
             continue
         test = who_notices(mutation)
-        rows.append((mutation.what, mutation.file, test))
+        rows[mutation.what] = (mutation.what, mutation.file, test)
         print(f"{'noticed by ' + test if test else 'SURVIVED':80} {mutation.what}", flush=True)
     if out is not None:
-        with open(out, "w", encoding="utf-8", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows([("mutation", "file", "noticed by"), *rows])
-    survivors = sum(not test for *_, test in rows)
+        write(out, rows)
+    survivors = sum(not test for *_, test in rows.values())
     print(f"{len(rows)} mutations, {survivors} survived")
     raise SystemExit(1 if survivors else 0)
+
+
+def write(path: Path, tried: dict[str, tuple[str, str, str]]) -> None:
+    """Write the lines of the mutations tried, and keep those of the others that are still on the list."""
+    known = {}
+    if path.exists():
+        with open(path, encoding="utf-8", newline="") as file:
+            known = {row[0]: tuple(row) for row in list(csv.reader(file))[1:]}
+    known |= tried
+    lines = [known[mutation.what] for mutation in MUTATIONS if mutation.what in known]
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([("mutation", "file", "noticed by"), *lines])
 
 
 if __name__ == "__main__":

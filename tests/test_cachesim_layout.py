@@ -132,6 +132,11 @@ def test_a_treelet_fills_its_block_breadth_first():
     assert sorted(np.bincount(blocks[level == 3]).tolist())[-1] == 6
 
 
+def test_a_treelet_larger_than_the_tree_is_one_block():
+    nodes = {"parent": np.array([-1, 0, 0, 1, 1]), "level": np.array([0, 1, 1, 2, 2])}
+    np.testing.assert_array_equal(addresses(nodes, 32, "treelet:64G"), addresses(nodes, 32, "treelet:256"))
+
+
 def test_base_and_names():
     tree = make_trace("kdtree", 1, n_rays=1)
     moved = addresses(columns(tree), 8, "bfs+1K")

@@ -400,7 +400,13 @@ def test_ranges():
     assert parse_range("8K") == (8192, 8192)
     assert parse_ways_range("1..4") == ("1", "2", "3", "4")
     assert parse_ways_range("full") == ("full",)
-    for call in (lambda: parse_range("8K..4K"), lambda: parse_ways_range("4..1"), lambda: parse_ways_range("1..x")):
+    for call in (
+        lambda: parse_range("8K..4K"),
+        lambda: parse_ways_range("4..1"),
+        lambda: parse_ways_range("1..x"),
+        lambda: parse_ways_range("1..4097"),
+        lambda: parse_ways_range("0..99999999999999999999999"),
+    ):
         with pytest.raises(ValueError, match=r"write e\.g\."):
             call()
 

@@ -43,6 +43,17 @@ def assert_same_hits(got, want):
     np.testing.assert_array_equal(got.t, want.t)  # bitwise: every structure runs the same triangle test
 
 
+def hits_like_the_reference(tree, rays, any_hit=False):
+    """Check every event and hit against the slow traverser; return the number of hits."""
+    hits, count, events = trace_recorded(tree, rays, any_hit=any_hit)
+    ends = np.cumsum(count)
+    for i in range(len(count)):
+        want_prim, want_t, want = traverse(tree, rays.origin[i], rays.direction[i], 0.0, rays.t_max[i], any_hit)
+        assert events_of(events[ends[i] - count[i] : ends[i]]) == want
+        assert (hits.prim[i], hits.t[i]) == (want_prim, want_t)
+    return int((hits.prim >= 0).sum())
+
+
 @pytest.mark.parametrize("builder", BUILDERS)
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("any_hit", [False, True])
@@ -51,15 +62,7 @@ def test_visits_equal_the_reference(scene, builder, any_hit):
     tree = BUILDERS[builder](triangles)
     rays = camera_rays(triangles, 150, seed=7)
     rays = rays._replace(t_max=np.where(np.arange(150) % 3 == 0, 1.0, np.inf))
-    hits, count, events = trace_recorded(tree, rays, any_hit=any_hit)
-    ends = np.cumsum(count)
-    n_hit = 0
-    for i in range(150):
-        want_prim, want_t, want = traverse(tree, rays.origin[i], rays.direction[i], 0.0, rays.t_max[i], any_hit)
-        assert events_of(events[ends[i] - count[i] : ends[i]]) == want
-        assert (hits.prim[i], hits.t[i]) == (want_prim, want_t)
-        n_hit += want_prim >= 0
-    assert 10 < n_hit < 150
+    assert 10 < hits_like_the_reference(tree, rays, any_hit) < 150
 
 
 @given(triangle_lists, point, directions, st.booleans(), st.sampled_from(sorted(BUILDERS)))
@@ -188,6 +191,19 @@ def test_a_trace_longer_than_its_buffer_goes_on_in_another(monkeypatch):
 def test_bad_rays_are_refused(origin, direction, t_min, words):
     with pytest.raises(ValueError, match=words):
         make_rays(origin, direction, t_min)
+
+
+@pytest.mark.parametrize("builder", BUILDERS)
+def test_a_ray_exactly_the_margin_beside_a_plane(builder):
+    """There plane - moved origin is 0, which times an infinite inverse would be no number."""
+    rng = np.random.default_rng(7)
+    triangles = rng.random((40, 3, 3)).astype(np.float32)
+    triangles[:, :, 0] = rng.choice(np.float32([2.0**-44, 0.5, 1.0]), (40, 3))
+    triangles[0, 0, 0], triangles[0, 1, 0] = 1.0, 2.0**-44
+    for x, z in ((0.0, 1.0), (-0.0, 1.0), (0.0, -1.0), (2.0**-43, 1.0)):
+        origin = np.stack([np.full(50, x), rng.random(50), np.full(50, -2.0 * z)], axis=1)
+        rays = make_rays(origin, np.resize([[0.0, 0.0, z], [-0.0, 0.01, z]], (50, 3)))
+        hits_like_the_reference(BUILDERS[builder](triangles), rays)
 
 
 def bundle(rng, n_triangles, n_rays):

@@ -9,8 +9,6 @@ Labels: 0 read, 2 instruction fetch, 3 miscellaneous (a read that triggers nothi
 read-only, so writes (1) and everything else are errors.
 """
 
-import os
-import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +16,7 @@ import numpy as np
 
 from jit import kernel
 from traces.format import PREFETCH, Run
+from traces.whole import whole_file
 
 LABELS = (0x0, 0x2, 0x3, 0xB)
 TEXT_ACCESS_BYTES = 4
@@ -197,10 +196,9 @@ def export_din(
     mark = PREFETCH_LABELS[prefetch]
     labels = np.array([0, 0, 0, mark or 0], np.uint8)
     out = Path(out)
-    temporary = out.with_name(f".{out.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
     written = 0
     try:
-        with open(temporary, "wb") as file:
+        with whole_file(out) as temporary, open(temporary, "wb") as file:
             for nodes, kinds in run.batches():
                 if mark is None:
                     keep = kinds != PREFETCH
@@ -208,11 +206,8 @@ def export_din(
                 where, what = narrow[nodes], labels[kinds]
                 file.write(_records(where, what, node_bytes) if fmt == "binary" else _lines(where, what))
                 written += where.size
-        temporary.replace(out)
     except OSError as e:
         raise DinError(f"cannot write {out}: {e.strerror}; nothing was kept") from e
-    finally:
-        temporary.unlink(missing_ok=True)
     return written
 
 

@@ -13,6 +13,7 @@ metadata under the key ``nptrace``, without a time stamp, so the same command gi
 
 import ctypes
 import errno
+import hashlib
 import json
 import os
 import secrets
@@ -26,6 +27,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+from traces.whole import is_alive
 
 FORMAT_VERSION = 1
 ROW_GROUP = 1 << 20  # rows: 5 MB of node and kind, which stays in a core's share of the last-level cache
@@ -95,6 +98,10 @@ _COLUMN_ENCODING = {
         **dict.fromkeys(("parent", "level", "axis", "n_prims"), "BYTE_STREAM_SPLIT"),
     },
 }
+
+
+#: What reading a damaged Parquet file raises.
+_UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
 
 class RunError(ValueError):
@@ -182,8 +189,9 @@ class RunWriter:
         self._tables[table].append(columns)
 
     def image(self, png: bytes) -> None:
-        """Store the picture."""
+        """Store the picture, and its sha256 in the footers: PNG readers tend to show what is left of a damaged one."""
         (self._temp / "image.png").write_bytes(png)
+        self._metadata["image_sha256"] = hashlib.sha256(png).hexdigest()
 
     def __exit__(self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: object) -> None:
         if exc_type is None:
@@ -245,24 +253,12 @@ def _sweep(path: Path) -> None:
     """Delete what killed processes left beside ``path``; put back a run that was moved aside when its writer was killed."""
     for left in path.parent.glob(f".{path.name}.*-*"):
         pid = left.name[len(path.name) + 2 :].partition("-")[0]
-        if left.suffix not in (".tmp", ".old") or not pid.isdigit() or _is_alive(int(pid)):
+        if left.suffix not in (".tmp", ".old") or not pid.isdigit() or is_alive(int(pid)):
             continue
         if left.suffix == ".old" and not path.exists():
             left.rename(path)
         else:
             shutil.rmtree(left, ignore_errors=True)
-
-
-def _is_alive(pid: int) -> bool:
-    if os.name != "posix" or pid == os.getpid():
-        return True
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 class Run:
@@ -287,7 +283,7 @@ class Run:
         """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays."""
         try:
             read = self._files[table].read(columns=names)
-        except (OSError, pa.ArrowException) as e:
+        except _UNREADABLE as e:
             raise _damaged(self.path / f"{table}.parquet", e) from e
         return {name: read.column(name).to_numpy() for name in read.column_names}
 
@@ -306,7 +302,7 @@ class Run:
                 assert ahead is not None
                 try:
                     batch = ahead.result()
-                except (OSError, pa.ArrowException) as e:
+                except _UNREADABLE as e:
                     raise _damaged(self.path / "accesses.parquet", e) from e
                 ahead = pool.submit(read, group + 1) if group + 1 < n_groups else None
                 yield batch
@@ -327,35 +323,43 @@ def open_run(path: Path | str) -> Run:
     if missing:
         raise RunError(f"{path} is not a complete run: {', '.join(missing)} missing; render it again")
     files: dict[str, pq.ParquetFile] = {}
+    schemas: dict[str, pa.Schema] = {}
     texts: set[bytes | None] = set()
     for name in ("accesses", "rays", "nodes"):
         file = path / f"{name}.parquet"
         try:
             files[name] = pq.ParquetFile(file, page_checksum_verification=True)
-        except (OSError, pa.ArrowException) as e:
+            schemas[name] = files[name].schema_arrow
+            texts.add((files[name].metadata.metadata or {}).get(METADATA_KEY))
+        except _UNREADABLE as e:
             raise _damaged(file, e) from e
-        texts.add((files[name].metadata.metadata or {}).get(METADATA_KEY))
     if None in texts:
         raise RunError(f"{path} was not written by nptrace: a Parquet footer has no '{METADATA_KEY.decode()}' entry")
     if len(texts) > 1:
         raise RunError(f"{path} mixes the files of different runs; render it again")
     try:
         metadata = json.loads(texts.pop() or b"")
-    except ValueError as e:
+        version = metadata["format_version"]
+        promised = {name: int(metadata[f"n_{name}"]) for name in files}
+    except (ValueError, TypeError, KeyError, RecursionError) as e:
         raise _damaged(path, e) from e
-    version = metadata.get("format_version")
     if version != FORMAT_VERSION:
         raise RunError(f"{path} has format version {version}, this program reads {FORMAT_VERSION}; render it again")
     for name, file in files.items():
-        found = dict(zip(file.schema_arrow.names, file.schema_arrow.types, strict=True))
+        found = dict(zip(schemas[name].names, schemas[name].types, strict=True))
         for field in {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}[name]:
             if found.get(field.name) != field.type:
                 raise RunError(f"{path / name}.parquet has no {field.type} column '{field.name}'; render it again")
-        if file.metadata.num_rows != metadata[f"n_{name}"]:
+        if file.metadata.num_rows != promised[name]:
             raise RunError(
-                f"{path / name}.parquet has {file.metadata.num_rows} rows, its footer says {metadata[f'n_{name}']}; "
-                "render it again"
+                f"{path / name}.parquet has {file.metadata.num_rows} rows, its footer says {promised[name]}; render it again"
             )
+    try:
+        image = hashlib.sha256((path / "image.png").read_bytes()).hexdigest()
+    except OSError as e:
+        raise _damaged(path / "image.png", e) from e
+    if metadata.get("image_sha256", image) != image:  # runs of earlier versions do not say
+        raise RunError(f"{path / 'image.png'} is damaged (its checksum is wrong); render it again")
     return Run(path, files, metadata)
 
 
@@ -369,4 +373,5 @@ def find_runs(folder: Path | str) -> list[Path]:
 
 
 def _damaged(path: Path, error: Exception) -> RunError:
-    return RunError(f"{path} is damaged ({str(error).splitlines()[0]}); render it again")
+    reason = (str(error) or type(error).__name__).splitlines()[0]
+    return RunError(f"{path} is damaged ({reason}); render it again")

@@ -1,0 +1,82 @@
+"""Run all tests and write what each did: ``python -m tests.checks [-o FILE.json] [pytest's arguments]``, for the docs.
+
+Also the pytest plugin behind it (``-p tests.checks --checks FILE``). A check is one test function. It counts its cases: the
+examples of hypothesis, or what it recorded as ``cases``, or the tests it was parametrized to. ``largest error`` is what it
+recorded under this name (``record_property``), a relative error unless the check says otherwise; equality has none.
+"""
+
+import argparse
+import ast
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option for the file."""
+    parser.addoption("--checks", type=Path, help="write every check with its cases and its largest error as JSON")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Count only when asked to."""
+    if config.getoption("--checks"):
+        config.pluginmanager.register(Counting(config.getoption("--checks")))
+
+
+class Counting:
+    """What the tests of this run did, by file and function."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._checks: dict[str, dict[str, Any]] = {}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+        """Take down one test when its body, or what stopped it before, is over."""
+        report = yield
+        if report.when == "call" or report.outcome != "passed":
+            self._note(item, report)
+        return report
+
+    def _note(self, item: pytest.Item, report: pytest.TestReport) -> None:
+        name = f"{item.path.stem}::{item.originalname}"  # type: ignore[attr-defined]
+        new = {"tests": 0, "cases": 0, "largest error": None, "failed": 0, "skipped": 0, "expected failures": 0}
+        check = self._checks.setdefault(name, new)
+        recorded = dict(item.user_properties)
+        passing = re.findall(r"(\d+) passing", getattr(item, "hypothesis_statistics", ""))
+        check["tests"] += 1
+        if report.outcome == "skipped":
+            check["expected failures" if hasattr(report, "wasxfail") else "skipped"] += 1
+            return
+        check["failed"] += report.outcome == "failed"
+        check["cases"] += sum(map(int, passing)) if passing else recorded.get("cases", 1)
+        if "largest error" in recorded:
+            check["largest error"] = max(check["largest error"] or 0.0, float(f"{recorded['largest error']:.2g}"))
+
+    def pytest_sessionfinish(self) -> None:
+        """Write the file, one check a line."""
+        rows = [json.dumps({"check": name, **check}) for name, check in sorted(self._checks.items())]
+        self._out.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+
+
+def what_files_check() -> dict[str, str]:
+    """Return the first line of every test file's docstring, by its name."""
+    texts = {path.stem: ast.get_docstring(ast.parse(path.read_text())) for path in sorted((ROOT / "tests").glob("test_*.py"))}
+    return {name: (text or "").splitlines()[0] for name, text in texts.items()}
+
+
+def main() -> None:
+    """Run the tests, counting; exit with pytest's status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", type=Path, default=ROOT / "docs" / "data" / "checks.json")
+    args, others = parser.parse_known_args()
+    raise SystemExit(pytest.main(["-q", "-p", "tests.checks", "--checks", str(args.o.resolve()), *others]))
+
+
+if __name__ == "__main__":
+    main()
