@@ -9,6 +9,7 @@ import argparse
 import contextlib
 import json
 import math
+import re
 import resource
 import struct
 import sys
@@ -69,21 +70,23 @@ def was_accepted(target: Target, value: Any) -> bool:
 
 
 def damaged(*good: str) -> st.SearchStrategy[str]:
-    """Texts near good ones: pieces cut out, doubled, or put in from a heap of numbers and signs."""
+    """Texts near good ones: other numbers, or pieces cut out, doubled, or put in from a heap of numbers and signs."""
     junk = st.sampled_from(
         [*"0123456789.,:;=x*+-_ \t\nKMGBkeE/%", "nan", "inf", "-1", "1e400", "99999999999", "²", "٣", "..", ""]
     )
     piece = st.sampled_from(good) | junk | st.text(max_size=3) | st.integers(-3, 1 << 70).map(str) | st.floats().map(str)
+    cuts = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 4), piece), max_size=3)
 
-    def splice(base: str, pieces: list[tuple[int, int, str]]) -> str:
-        for at, width, new in pieces:
+    def change(base: str, numbers: list[int], cuts: list[tuple[int, int, str]]) -> str:
+        others = iter(numbers)
+        base = re.sub(r"\d+", lambda found: str(next(others, found[0])), base)
+        for at, width, new in cuts:
             at %= len(base) + 1
             base = base[:at] + new + base[at + width :]
         return base
 
-    return st.builds(
-        splice, st.sampled_from(good), st.lists(st.tuples(st.integers(0, 60), st.integers(0, 4), piece), max_size=4)
-    )
+    number = st.integers(0, 9) | st.integers(0, 300) | st.integers(0, 17).map(lambda k: 1 << k)
+    return st.builds(change, st.sampled_from(good), st.lists(number, max_size=4), st.just([]) | cuts)
 
 
 def try_size(text: str) -> None:
