@@ -152,11 +152,26 @@ def _sift_down(lists, root, line_id):
     lists.links[2 * (lists.n_sets + line_id)] = slot
 
 
+@kernel(_nrt=False)
+def _insert_by_next_use(lists, s, line_id):
+    """Put a line into the heap of set ``s``; return the id of the line it replaces, or -1."""
+    root = s * lists.ways
+    if lists.held[s] < lists.ways:
+        lists.held[s] += 1
+        _sift_up(lists, root, root + lists.held[s] - 1, line_id)
+        return np.int64(-1)
+    victim = np.int64(lists.slots[root])
+    _sift_down(lists, root, line_id)
+    return victim
+
+
 @kernel(_nrt=False, forceinline=True)
 def insert(lists, s, line_id):
     """Put a line into set ``s``, which does not hold it; return the id of the line it replaces, or -1."""
     victim = np.int64(-1)
-    if lists.policy == RANDOM:
+    if lists.policy >= RANDOM:
+        if lists.policy == OPT:
+            return _insert_by_next_use(lists, s, line_id)
         slot = s * lists.ways
         if lists.held[s] < lists.ways:
             slot += lists.held[s]
@@ -166,15 +181,6 @@ def insert(lists, s, line_id):
             slot += np.int64((high * np.uint64(lists.ways)) >> np.uint64(32))
             victim = np.int64(lists.slots[slot])
         lists.slots[slot] = line_id
-        return victim
-    if lists.policy == OPT:
-        root = s * lists.ways
-        if lists.held[s] < lists.ways:
-            lists.held[s] += 1
-            _sift_up(lists, root, root + lists.held[s] - 1, line_id)
-        else:
-            victim = np.int64(lists.slots[root])
-            _sift_down(lists, root, line_id)
         return victim
     links, ring = lists.links, 2 * s
     if lists.held[s] < lists.ways:

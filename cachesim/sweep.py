@@ -37,7 +37,7 @@ MAX_RANGE = 4096
 
 def parse_range(text: str) -> tuple[int, int]:
     """Return the lowest and highest byte size that a text such as ``4K..64K`` or ``8K`` names."""
-    low, dots, high = text.partition("..")
+    low, dots, high = (part.strip() for part in text.partition(".."))
     sizes = parse_bytes(low), parse_bytes(high if dots else low)
     if sizes[0] > sizes[1]:
         raise ValueError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
@@ -46,9 +46,9 @@ def parse_range(text: str) -> tuple[int, int]:
 
 def parse_ways_range(text: str) -> tuple[str, ...]:
     """Return the numbers of ways that a text such as ``1..16``, ``4`` or ``full`` names, for ``grid``."""
-    low, dots, high = text.partition("..")
+    low, dots, high = (part.strip() for part in text.partition(".."))
     if not dots:
-        return (text.strip(),)
+        return (low,)
     try:
         numbers = range(int(low), int(high) + 1)
     except ValueError:

@@ -60,8 +60,7 @@ class Counting:
 
     def pytest_sessionfinish(self) -> None:
         """Write the file, one check a line."""
-        rows = [json.dumps({"check": name, **check}) for name, check in sorted(self._checks.items())]
-        self._out.write_text("[\n" + ",\n".join(rows) + "\n]\n", encoding="utf-8")
+        write(self._out, [{"check": name, **check} for name, check in self._checks.items()])
 
 
 def what_files_check() -> dict[str, str]:
@@ -71,11 +70,20 @@ def what_files_check() -> dict[str, str]:
 
 
 def main() -> None:
-    """Run the tests, counting; exit with pytest's status."""
+    """Run the tests, counting; exit with pytest's status. Named tests replace their own lines of the file only."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", type=Path, default=ROOT / "docs" / "data" / "checks.json")
     args, others = parser.parse_known_args()
-    raise SystemExit(pytest.main(["-q", "-p", "tests.checks", "--checks", str(args.o.resolve()), *others]))
+    before = json.loads(args.o.read_text(encoding="utf-8")) if others and args.o.exists() else []
+    status = pytest.main(["-q", "-p", "tests.checks", "--checks", str(args.o.resolve()), *others])
+    write(args.o, [*before, *json.loads(args.o.read_text(encoding="utf-8"))])
+    raise SystemExit(status)
+
+
+def write(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write one check a line, in the order of their names; of several lines of a check, the last."""
+    last = {row["check"]: row for row in rows}
+    path.write_text("[\n" + ",\n".join(json.dumps(last[name]) for name in sorted(last)) + "\n]\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

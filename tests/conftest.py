@@ -3,11 +3,13 @@
 import os
 
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 # Without deadlines, because the first call of a kernel compiles it.
 settings.register_profile("project", deadline=None, derandomize=True)
-settings.load_profile("project")
+# For tests.mutations, to which any failure will do: the smallest one is not looked for.
+settings.register_profile("first failure", deadline=None, derandomize=True, phases=[Phase.explicit, Phase.generate])
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "project"))
 
 BENCHMARK = {"bunny": "blob", "conference": "room", "sibenik": "nave", "sponza": "court"}
 

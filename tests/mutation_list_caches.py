@@ -117,7 +117,7 @@ MUTATIONS = [
     Mutation("opt: the left child of the heap is never compared", LI, "child = root + 2 * (slot - root) + 1", "child = root + 2 * (slot - root) + 2", OPT),
     Mutation("opt: the smaller child rises", LI, "due[slots[child + 1]] > due[slots[child]]", "due[slots[child + 1]] < due[slots[child]]", OPT),
     Mutation("opt: a hit does not move the line", LI, "        if lists.policy == OPT:\n            _sift_up(", "        if lists.policy == OPT and line_id < 0:\n            _sift_up(", OPT),
-    Mutation("opt: the heap of every set is that of the first", LI, "        root = s * lists.ways\n        if lists.held", "        root = 0 * lists.ways\n        if lists.held", OPT),
+    Mutation("opt: the heap of every set is that of the first", LI, "    root = s * lists.ways\n    if lists.held", "    root = 0 * lists.ways\n    if lists.held", OPT),
     Mutation("opt: the place of a line moved down is not noted", LI, "        lists.links[2 * (lists.n_sets + slots[slot])] = slot\n        slot = child", "        slot = child", OPT),
     Mutation("opt: next uses are lost when lines are added", LI, "    due[: lists.due.size] = lists.due\n", "", OPT),
     Mutation("opt: the next use is that of the access before", NU, "next_use[last[line_id] - 1] = here", "next_use[last[line_id] - 1] = here - 1", OPT),

@@ -21,6 +21,90 @@ MUTATIONS = [*mutation_list.MUTATIONS, *mutation_list_caches.MUTATIONS]
 ROOT = Path(__file__).resolve().parent.parent
 
 
+class Workshop:
+    """A copy of the project in which one thing at a time is broken.
+
+    Compiling takes most of the time, so a broken copy starts with the kernels of the whole one. Numba compiles those of a
+    changed file anew; the files that import it, into whose kernels its own are pasted, are made to look changed. What seems to
+    survive is tried once more with no kernels at all.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self._project, self._kernels, self._whole = root / "project", root / "kernels", root / "whole"
+        self._seen: set[str] = set()
+
+    def _restore(self) -> None:
+        keep = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".hypothesis", ".*_cache", "*-kdtree", "*-bvh")
+        shutil.rmtree(self._project, ignore_errors=True)
+        shutil.copytree(ROOT, self._project, ignore=keep)
+        jit = self._project / "jit.py"  # one folder for all kernels, whatever their sources
+        text = jit.read_text(encoding="utf-8")
+        assert "return digest.hexdigest()[:16]" in text
+        jit.write_text(text.replace("return digest.hexdigest()[:16]", 'return "0123456789abcdef"'), encoding="utf-8")
+        stamp = (ROOT / "jit.py").stat()
+        os.utime(jit, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+
+    def _test(self, tests: str) -> str:
+        """Return the first test that fails in the copy, "" if none does."""
+        environment = {**os.environ, "PYTHONPATH": str(self._project), "NUMBA_CACHE_DIR": str(self._kernels)}
+        environment["HYPOTHESIS_PROFILE"] = "first failure"
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests.split()]
+        done = subprocess.run(
+            command, cwd=self._project, env=environment, capture_output=True, text=True, check=False, timeout=900
+        )
+        failed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+        if done.returncode not in (0, 1) and not failed:
+            return f"{tests.split()[0]} (crashed)"
+        return failed[0].removeprefix("tests/") if failed else ""
+
+    def _compile_whole(self, tests: str) -> None:
+        """Run the tests on the whole project once, and keep its kernels."""
+        if tests in self._seen:
+            return
+        self._restore()
+        shutil.rmtree(self._kernels, ignore_errors=True)
+        if self._whole.exists():
+            shutil.copytree(self._whole, self._kernels)
+        if failed := self._test(tests):
+            raise SystemExit(f"{failed} fails on the project as it is; mend it first")
+        shutil.rmtree(self._whole, ignore_errors=True)
+        shutil.copytree(self._kernels, self._whole)
+        self._seen.add(tests)
+
+    def who_notices(self, mutation: Mutation) -> str:
+        """Return the test that fails, or "" if the mutation survives."""
+        self._compile_whole(mutation.tests)
+        for kernels in (self._whole, None):
+            self._restore()
+            apply(mutation, self._project)
+            for user in users_of(mutation.file, self._project):
+                os.utime(user)
+            shutil.rmtree(self._kernels, ignore_errors=True)
+            if kernels is not None:
+                shutil.copytree(kernels, self._kernels)
+            if test := self._test(mutation.tests):
+                return test
+        return ""
+
+
+def users_of(file: str, folder: Path) -> set[Path]:
+    """Return the sources that import a source, directly or through others."""
+    sources = {
+        path: path.read_text(encoding="utf-8")
+        for part in ("rtrace", "cachesim", "traces")
+        for path in folder.glob(f"{part}/*.py")
+    }
+    found: set[Path] = set()
+    todo = [folder / file]
+    while todo:
+        here = todo.pop()
+        name = f"from {here.parent.name}.{here.stem} import"
+        new = {path for path, text in sources.items() if name in text} - found
+        found |= new
+        todo += new
+    return found
+
+
 def apply(mutation: Mutation, folder: Path) -> None:
     """Change the copy in ``folder``; a piece of source that is no longer there is an error of the list."""
     path = folder / mutation.file
@@ -30,36 +114,22 @@ def apply(mutation: Mutation, folder: Path) -> None:
     path.write_text(source.replace(mutation.old, mutation.new), encoding="utf-8")
 
 
-def who_notices(mutation: Mutation) -> str:
-    """Return the test that fails, or "" if the mutation survives."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name) / "project"
-        keep = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".hypothesis", ".*_cache", "*-kdtree", "*-bvh")
-        shutil.copytree(ROOT, folder, ignore=keep)
-        apply(mutation, folder)
-        environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(Path(name) / "kernels")}
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *mutation.tests.split()]
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=900)
-    failed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-    if done.returncode not in (0, 1) and not failed:
-        return f"{mutation.tests.split()[0]} (crashed)"
-    return failed[0].removeprefix("tests/") if failed else ""
-
-
 def main() -> None:
     """Try every mutation (or those whose text has one of the words given) and print who noticed."""
     words = sys.argv[1:]
     out = Path(words.pop(words.index("-o") + 1)) if "-o" in words else None
     words = [word for word in words if word != "-o"]
     rows: dict[str, tuple[str, str, str]] = {}
-    for mutation in MUTATIONS:
-        if words and not any(word in mutation.what for word in words):
-            continue
-        test = who_notices(mutation)
-        rows[mutation.what] = (mutation.what, mutation.file, test)
-        print(f"{'noticed by ' + test if test else 'SURVIVED':80} {mutation.what}", flush=True)
-    if out is not None:
-        write(out, rows)
+    with tempfile.TemporaryDirectory() as folder:
+        workshop = Workshop(Path(folder))
+        for mutation in MUTATIONS:
+            if words and not any(word in mutation.what for word in words):
+                continue
+            test = workshop.who_notices(mutation)
+            rows[mutation.what] = (mutation.what, mutation.file, test)
+            print(f"{'noticed by ' + test if test else 'SURVIVED':80} {mutation.what}", flush=True)
+            if out is not None:
+                write(out, rows)
     survivors = sum(not test for *_, test in rows.values())
     print(f"{len(rows)} mutations, {survivors} survived")
     raise SystemExit(1 if survivors else 0)

@@ -8,8 +8,9 @@ N = -(-1000 // len(TARGETS))
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.what)
-def test_any_input_is_accepted_or_refused_in_one_sentence(target):
+def test_any_input_is_accepted_or_refused_in_one_sentence(target, record_property):
     tried = run(target, N, seed_of=1)
+    record_property("cases", tried.total())
     assert tried.total() >= N
     assert tried[False] > 0
     assert tried[True] > 0
