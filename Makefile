@@ -5,7 +5,7 @@ BIN := .venv/bin
 INSTALLED := .venv/installed
 RUNS ?= traces
 THREADS ?= 2
-PAGES := README.md docs/correctness.md
+PAGES := README.md docs/correctness.md docs/performance.md
 
 .DEFAULT_GOAL := help
 .PHONY: help test bench lint docs docs-check correctness fuzz reproduce-table clean
@@ -55,8 +55,9 @@ fuzz: $(INSTALLED) ## Try 100,000 inputs nobody would write and put their number
 	$(BIN)/python -m tests.fuzz -n $(or $(N),100000) -o docs/data/fuzz.json
 	$(BIN)/cog -r docs/correctness.md
 
-bench: $(INSTALLED) ## Measure speed against peers, as ratios, and write docs/data/bench.csv (ARGS=--quick: a minute, writes nothing)
+bench: $(INSTALLED) ## Measure speed, about 15 minutes, and write docs/performance.md (ARGS=--quick: half a minute, writes nothing)
 	$(BIN)/python -m tests.bench $(ARGS)
+	@test -n "$(ARGS)" || { $(BIN)/python -m tests.bench.scaling && $(BIN)/cog -r docs/performance.md; }
 
 clean: ## Remove the environment and the runs under traces/
 	rm -rf .venv $(wildcard traces/*/)

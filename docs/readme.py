@@ -150,3 +150,47 @@ def mutations(cog) -> None:
         test = row["noticed by"].split("[")[0].replace(".py::", ": ")
         what = row["mutation"].replace("|", "\\|")
         cog.outl(f"| {what} | {row['file']} | {test or '**survived**'} |")
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    with open(DATA / name, encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def machine(cog) -> None:
+    """Write what the figures of docs/performance.md were measured on and of."""
+    facts = json.loads((DATA / "machine.json").read_text(encoding="utf-8"))
+    cog.outl("| " + " | ".join(facts) + " |")
+    cog.outl("|" + " --- |" * len(facts))
+    cog.outl("| " + " | ".join(facts.values()) + " |")
+
+
+def goals(cog) -> None:
+    """Write every figure of ``make bench`` that has a goal, or is named beside one."""
+    cog.outl("| | least | median | largest | goal | |")
+    cog.outl("| --- |" + " ---: |" * 4 + " --- |")
+    for row in _rows("bench.csv"):
+        verdict = "**not met**" if row["verdict"] == "not met" else row["verdict"]
+        cog.outl(f"| {row['what']} | {row['least']} | {row['median']} | {row['largest']} | {row['goal']} | {verdict} |")
+
+
+def spread(cog, name: str) -> None:
+    """Write figures without goals: ``savings`` or ``tried``."""
+    cog.outl("| | least | median | largest |")
+    cog.outl("| --- |" + " ---: |" * 3)
+    for row in _rows(f"{name}.csv"):
+        cog.outl(f"| {row['what']} | {row['least']} | {row['median']} | {row['largest']} |")
+
+
+def scaling(cog) -> None:
+    """Write cost and memory by the size of the picture."""
+    columns = ("rays", "accesses", "bytes")
+    cog.outl("| pixels | rays | accesses | MB | render, ns/access | replay, ns/access | render, us/ray | MB memory, render | replay |")
+    cog.outl("| ---: |" + " ---: |" * 8)
+    for row in _rows("scaling.csv"):
+        rays, accesses, n_bytes = (int(row[name]) for name in columns)
+        cells = [f"{row['pixels a side']}²", f"{rays:,}", f"{accesses:,}", f"{n_bytes / 1e6:.0f}"]
+        cells += [f"{float(row[stage]) * 1e9 / accesses:.1f}" for stage in ("render s", "replay s")]
+        cells += [f"{float(row['render s']) * 1e6 / rays:.2f}"]
+        cells += [f"{float(row[stage]):.0f}" for stage in ("render MB", "replay MB")]
+        cog.outl("| " + " | ".join(cells) + " |")

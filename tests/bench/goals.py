@@ -1,0 +1,59 @@
+"""The goals of the project, one per figure of the bench: what the median over scenes has to reach or stay below."""
+
+#: Figure -> (what it is, goal). Ratios are faster / slower in the direction in which more is better, unless the goal is "<=".
+GOALS: dict[str, tuple[str, str]] = {}
+
+_TREES = {"bvh": "BVH", "kdtree": "kd-tree"}
+
+for _tree, _least in (("bvh", "0.55"), ("kdtree", "0.60")):
+    GOALS[f"closest {_tree} traced / embree"] = (
+        f"closest hit, {_TREES[_tree]}, traced, one thread, against embreex robust", f">= {_least}"
+    )  # fmt: skip
+for _tree in _TREES:
+    GOALS[f"any {_tree} traced / embree"] = (
+        f"any hit, {_TREES[_tree]}, traced, one thread, against embreex OCCLUDED", ">= 0.50"
+    )  # fmt: skip
+for _tree in _TREES:
+    GOALS[f"both {_tree} two threads / embree"] = (
+        f"primary and shadow rays, {_TREES[_tree]}, traced into memory by two threads, against embreex untraced", ">= 1.0"
+    )  # fmt: skip
+for _tree in _TREES:
+    GOALS[f"render {_tree} M accesses/s"] = (
+        f"a whole render, {_TREES[_tree]}: trace, Parquet, picture; M accesses a second of wall time on two cores", ">= 70"
+    )  # fmt: skip
+for _kind in ("closest", "any"):
+    for _tree in _TREES:
+        GOALS[f"{_kind} {_tree} cost of tracing"] = (f"cost of tracing, {_kind} hit, {_TREES[_tree]}", "<= 1.08")
+for _kind in ("closest", "any"):
+    for _tree in _TREES:
+        GOALS[f"{_kind} {_tree} / c++"] = (f"{_kind} hit, {_TREES[_tree]}, against the same in scalar C++", ">= 0.95")
+GOALS |= {
+    "build binned / embree": ("CPU time of the binned BVH's build over embreex build and commit", "<= 0.35"),
+    "build sweep / embree": ("CPU time of the full-sweep BVH's build, likewise", ""),
+    "build kd / embree": ("CPU time of the kd-tree's build, likewise", "<= 4"),
+    "DineroIV text / 2-way": ("one 2-way replay from memory, against DineroIV", ">= 30"),
+    "pycachesim / 2-way": ("one 2-way replay from memory, against pycachesim", ">= 8"),
+    "1-way, ns per access": ("one direct-mapped replay from memory, ns per access", ""),
+    "2-way, ns per access": ("one 2-way replay from memory, ns per access", "<= 3"),
+    "128 caches in one pass / one 2-way": ("all of 2^4..2^11 sets x 1..16 ways in one pass, over one 2-way replay", "<= 15"),
+    "stack distances / one 2-way": ("exact stack distances, over one 2-way replay", "<= 6"),
+    "replay from Parquet / 2-way from memory": ("one replay straight from Parquet, over one from memory", "<= 5"),
+    "decode node + kind, M accesses/s": ("reading node and kind, M accesses a second on one core", ">= 120"),
+    "replay of 4 caches, unfiltered / filtered": ("four caches with pre-fetches: without over with the exact filter", ""),
+    "cold compile of everything, s": ("cold compilation of everything, CPU s", "<= 25"),
+    "warm start to the first ray, s": ("warm start to the first traced ray, CPU s", "<= 1.0"),
+}
+#: Why a figure may be missing.
+ABSENT = {
+    "/ c++": "no C++ compiler",
+    "DineroIV": "DINERO names no binary",
+    "pycachesim": "PYCACHESIM names no Python with pycachesim",
+}
+
+
+def is_met(goal: str, value: float) -> bool | None:
+    """Return whether a value meets a goal; None without one."""
+    if not goal:
+        return None
+    sign, limit = goal.split()
+    return value >= float(limit) if sign == ">=" else value <= float(limit)
