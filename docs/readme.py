@@ -185,7 +185,8 @@ def spread(cog, name: str) -> None:
 def scaling(cog) -> None:
     """Write cost and memory by the size of the picture."""
     columns = ("rays", "accesses", "bytes")
-    cog.outl("| pixels | rays | accesses | MB | render, ns/access | replay, ns/access | render, us/ray | MB memory, render | replay |")
+    stages = "render, ns/access | replay, ns/access | render, us/ray | memory of render, MB | memory of replay, MB"
+    cog.outl(f"| pixels | rays | accesses | trace, MB | {stages} |")
     cog.outl("| ---: |" + " ---: |" * 8)
     for row in _rows("scaling.csv"):
         rays, accesses, n_bytes = (int(row[name]) for name in columns)

@@ -20,7 +20,7 @@ import numpy as np
 
 from jit import kernel
 from rtrace.clip import POLYGON, split_bounds, value
-from rtrace.nodes import KD_NODE, LEAF, Tree, words
+from rtrace.nodes import KD_NODE, LEAF, Tree, triangle_boxes, words
 from rtrace.sorting import sort
 
 # An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
@@ -136,16 +136,16 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
 @kernel
 def _classify(events, axis, begin, end, plane, side):
     """Write on which side of the plane each triangle of the cell is."""
-    i = begin
-    while i < end and events[axis, i] < plane:
+    i, stop = np.uint64(begin), np.uint64(end)
+    while i < stop and events[axis, i] < plane:
         event = events[axis, i]
-        side[event & _TRIANGLE] = _BOTH if event & _KIND == _START else _BELOW
-        i += 1
-    while i < end:
+        side[np.uint64(event & _TRIANGLE)] = _BOTH if event & _KIND == _START else _BELOW
+        i += np.uint64(1)
+    while i < stop:
         event = events[axis, i]
-        triangle = event & _TRIANGLE
+        triangle = np.uint64(event & _TRIANGLE)
         side[triangle] = side[triangle] if event & _KIND == _END else _ABOVE
-        i += 1
+        i += np.uint64(1)
 
 
 @kernel
@@ -154,23 +154,23 @@ def _partition(events, axis, begin, end, n_straddlers, side, slot, straddlers, b
 
     Return the number of straddlers; the first axis lists them, every axis writes its part of their bounds.
     """
-    n_below, n_cut, n_above = 0, 0, begin
-    for i in range(begin, end):
+    n_below, n_cut, n_above = np.uint64(0), np.uint64(0), np.uint64(begin)  # unsigned as in a sweep
+    for i in range(np.uint64(begin), np.uint64(end)):
         event = events[axis, i]
-        triangle = event & _TRIANGLE
+        triangle = np.uint64(event & _TRIANGLE)
         where = side[triangle]
         kept[axis, n_below] = event
-        n_below += where == _BELOW
+        n_below += np.uint64(where == _BELOW)
         events[axis, n_above] = event
-        n_above += where == _ABOVE
+        n_above += np.uint64(where == _ABOVE)
         if where == _BOTH:
             kind = event & _KIND
             if axis == 0 and kind != _END:
                 slot[triangle] = n_straddlers
-                straddlers[n_straddlers] = triangle
+                straddlers[n_straddlers] = event & _TRIANGLE
                 n_straddlers += 1
             cut[axis, n_cut] = event
-            n_cut += 1
+            n_cut += np.uint64(1)
             at = 6 * slot[triangle] + axis
             if kind != _END:
                 bounds[at] = event >> 32
@@ -376,10 +376,11 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         if not is_kept:
             raise ValueError(f"{name} must be {rule}; got {given}")
     triangles = np.ascontiguousarray(triangles)
-    lower, upper = triangles.min(axis=1), triangles.max(axis=1)
+    if not np.isfinite(triangles).all():
+        ends = [triangles.min(axis=(0, 1)).tolist(), triangles.max(axis=(0, 1)).tolist()]
+        raise ValueError(f"triangles must be finite, got bounds {ends}; drop the triangles with NaN or inf")
+    lower, upper = triangle_boxes(triangles)
     bounds = np.stack((lower.min(axis=0), upper.max(axis=0)))
-    if not np.isfinite(bounds).all():
-        raise ValueError(f"triangles must be finite, got bounds {bounds.tolist()}; drop the triangles with NaN or inf")
 
     events, counts = _first_events(lower, upper)
     del lower, upper
@@ -419,7 +420,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     }
     nodes = nodes[: 2 * state[_NODES]].copy().view(KD_NODE)
     prims = prims[: state[_REFS]].copy()
-    return Tree("kdtree", nodes, prims, triangles[prims], triangles, bounds, int(state[_DEEPEST]), params)
+    return Tree("kdtree", nodes, prims, np.take(triangles, prims, axis=0), triangles, bounds, int(state[_DEEPEST]), params)
 
 
 @kernel

@@ -61,7 +61,7 @@ def _load(path: Path, scene: Scene, kind: str) -> Tree:
         prims, max_level = arrays["prims"], int(arrays["max_level"])
     with suppress(OSError):
         os.utime(path)  # lately used: not among the oldest
-    return Tree(kind, nodes, prims, scene.triangles[prims], scene.triangles, scene.bounds, max_level, params)
+    return Tree(kind, nodes, prims, np.take(scene.triangles, prims, axis=0), scene.triangles, scene.bounds, max_level, params)
 
 
 def _store(path: Path, tree: Tree) -> None:
