@@ -82,7 +82,7 @@ FILES = ("accesses.parquet", "rays.parquet", "nodes.parquet", "image.png")
 # Measured: neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long
 # enough, and which a dictionary or a delta would hide from it. The usual 20,000 rows a page took twice the bytes; a
 # dictionary for `kind`, which Parquet stores as int32, took five times the time of its split bytes.
-_ENCODING: dict[str, Any] = {
+ENCODING: dict[str, Any] = {
     "compression": "zstd",
     "compression_level": 1,
     "use_dictionary": False,
@@ -90,7 +90,7 @@ _ENCODING: dict[str, Any] = {
     "max_rows_per_page": ROW_GROUP,
     "write_page_checksum": True,
 }
-_COLUMN_ENCODING = {
+COLUMN_ENCODING = {
     "accesses": {"kind": "BYTE_STREAM_SPLIT"},
     "rays": {"ray": "DELTA_BINARY_PACKED", "first": "DELTA_BINARY_PACKED", "type": "BYTE_STREAM_SPLIT"},
     "nodes": {
@@ -116,7 +116,7 @@ class _Table:
         self.n_rows = 0
         self._buffers = [np.empty(ROW_GROUP, field.type.to_pandas_dtype()) for field in schema]
         self._filled = 0
-        self._writer = pq.ParquetWriter(path, schema, column_encoding=_COLUMN_ENCODING[path.stem], **_ENCODING)
+        self._writer = pq.ParquetWriter(path, schema, column_encoding=COLUMN_ENCODING[path.stem], **ENCODING)
 
     def append(self, columns: Mapping[str, np.ndarray]) -> None:
         pieces = [columns[name] for name in self.schema.names]

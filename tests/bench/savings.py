@@ -5,13 +5,15 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from rtrace.scene import Scene
 from rtrace.shoot import primary_rays, shadow_rays
 from rtrace.traverse import trace, trace_recorded
 from rtrace.treecache import TREES, build_tree, cached_tree
 from tests.bench.measure import ratio, times
-from traces.pages import encode
+from traces.format import ENCODING
 
 #: Entries of a traversal stack that would serve any tree: what programs take that do not look at theirs.
 USUAL_STACK = 128
@@ -43,15 +45,18 @@ def bench_savings(scene: Scene, size: int, repeat: int) -> dict[str, float]:
             _, _, events = trace_recorded(tree, primary)
             nodes = events[: 1 << 20] >> np.uint32(2)
             addresses = nodes.astype(np.uint64) * np.uint64(tree.nodes.dtype.itemsize)
-            narrow, wide = encode([nodes], nodes.dtype), encode([addresses], addresses.dtype)
+            files = {what: Path(name) / f"{what}.parquet" for what in ("narrow", "wide")}
+            tables = {"narrow": pa.table({"node": nodes}), "wide": pa.table({"node": addresses})}
             taken = times(
                 {
-                    "narrow": lambda nodes=nodes: encode([nodes], nodes.dtype),
-                    "wide": lambda addresses=addresses: encode([addresses], addresses.dtype),
+                    what: lambda table=tables[what], file=files[what]: pq.write_table(table, file, **ENCODING)
+                    for what in ("narrow", "wide")
                 },
                 repeat,
             )
-            out[f"{kind}: 64-bit addresses instead of 32-bit node numbers, bytes on disk"] = len(wide.body) / len(narrow.body)
+            out[f"{kind}: 64-bit addresses instead of 32-bit node numbers, bytes on disk"] = (
+                files["wide"].stat().st_size / files["narrow"].stat().st_size
+            )
             out[f"{kind}: 64-bit addresses instead of 32-bit node numbers, time of writing"] = ratio(
                 taken["wide"], taken["narrow"]
             )

@@ -12,10 +12,7 @@ from cachesim.replay import replay
 from cachesim.source import RunSource, look_up, tally
 from tests.bench.measure import ratio, times
 from tests.bench.stage2 import TABLE1
-from traces import pages
-from traces.format import ACCESSES, ROW_GROUP, Run
-from traces.pages import CODES, RUNS, Runs, encode
-from traces.parquet import ParquetFile, dtype_of
+from traces.format import ACCESSES, COLUMN_ENCODING, ENCODING, ROW_GROUP, Run
 
 
 def bench_tried(run: Run, repeat: int) -> dict[str, float]:
@@ -24,50 +21,29 @@ def bench_tried(run: Run, repeat: int) -> dict[str, float]:
 
 
 def _writing(run: Run, repeat: int) -> dict[str, float]:
-    """Write the accesses as we do, by pyarrow, and compressed otherwise."""
+    """Write the accesses as we do, and encoded or compressed otherwise."""
     columns = run.columns("accesses")
     n = min(len(columns["node"]), 8 * ROW_GROUP)
-    counts = run.columns("rays", ["count"])["count"]
-    hints = {"ray": RUNS, "kind": CODES}
+    table = pa.table([pa.array(columns[name][:n]) for name in ACCESSES.names], schema=ACCESSES)
     target = run.path.parent / "written.parquet"
+    encodings = COLUMN_ENCODING["accesses"]
 
-    def ours(hints=hints):
-        file = ParquetFile(target, ACCESSES)
-        rays = Runs(0, counts)
-        for start in range(0, n, ROW_GROUP):
-            end = min(start + ROW_GROUP, n)
-            pieces = {"ray": rays[start:end], **{name: columns[name][start:end] for name in ("node", "kind")}}
-            file.write([encode([pieces[f.name]], dtype_of(f), hints.get(f.name)) for f in ACCESSES])
-        file.close({})
-
-    def by_pyarrow():
-        options = {"compression": "zstd", "compression_level": 1, "use_dictionary": False, "data_page_size": 1 << 22}
-        encoding = {"kind": "BYTE_STREAM_SPLIT"}
-        with pq.ParquetWriter(target, ACCESSES, max_rows_per_page=ROW_GROUP, column_encoding=encoding, **options) as file:
-            for start in range(0, n, ROW_GROUP):
-                arrays = [pa.array(columns[name][start : min(start + ROW_GROUP, n)]) for name in ACCESSES.names]
-                file.write_table(pa.Table.from_arrays(arrays, schema=ACCESSES), row_group_size=ROW_GROUP)
-
-    def with_codec(codec):
-        def write():
-            pages._codec, before = codec, pages._codec
-            try:
-                ours()
-            finally:
-                pages._codec = before
-
-        return write
+    def written(encodings=encodings, **options):
+        return lambda: pq.write_table(
+            table, target, row_group_size=ROW_GROUP, **{**ENCODING, "column_encoding": encodings, **options}
+        )
 
     functions = {
-        "accesses written by pyarrow": by_pyarrow,
-        "accesses with zstd 3": with_codec(pa.Codec("zstd", 3)),
-        "accesses with zstd -5": with_codec(pa.Codec("zstd", -5)),
-        "accesses with LZ4": with_codec(pa.Codec("lz4_raw")),
-        "`ray` and `kind` plain instead of runs and codes": lambda: ours({}),
+        "accesses with zstd 3": written(compression_level=3),
+        "accesses with LZ4": written(compression="lz4", compression_level=None),
+        "pages of 20,000 rows": written(max_rows_per_page=20_000, data_page_size=1 << 20),
+        "`kind` by a dictionary": written(None, use_dictionary=["kind"]),
+        "`ray` as differences": written({**encodings, "ray": "DELTA_BINARY_PACKED"}),
+        "`node` as differences": written({**encodings, "node": "DELTA_BINARY_PACKED"}),
     }
-    taken = times({"ours": ours, **functions}, repeat)
+    taken = times({"ours": written(), **functions}, repeat)
     out = {f"{name}: time": ratio(taken[name], taken["ours"]) for name in functions}
-    ours()
+    written()()
     size = target.stat().st_size
     for name, function in functions.items():
         function()
