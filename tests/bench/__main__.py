@@ -16,14 +16,18 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
 from rtrace.catalog import load_scene
 from rtrace.render import Shooting, render
+from rtrace.shoot import primary_rays
 from rtrace.treecache import TREES, cached_tree
 from tests.bench.goals import ABSENT, GOALS, is_met
 from tests.bench.savings import bench_savings
-from tests.bench.stage1 import bench_scene, build_peer
+from tests.bench.stage1 import bench_scene, build_peer, pieces
 from tests.bench.stage2 import bench_run, bench_start
 from tests.bench.tried import bench_tried
+from tests.bench.variants import bench_variants
 from traces.format import open_run
 
 DATA = Path(__file__).resolve().parents[2] / "docs" / "data"
@@ -99,7 +103,10 @@ def main() -> None:
             print(f"{scene.label} ...", file=sys.stderr)
             add(found, bench_scene(scene, size, repeat, peer))
             add(savings, bench_savings(scene, size, repeat))
+            pixels = np.arange(size * size, dtype=np.uint32)
+            rays = pieces(primary_rays(scene.camera.frame(size, size), pixels, size))
             for kind in TREES:
+                add(tried, bench_variants(cached_tree(scene, kind), rays, repeat))
                 path = folder / f"{scene_name}-{kind}"
                 render(scene, cached_tree(scene, kind), Shooting(size, size), path)
                 add(found, bench_run(open_run(path), repeat))

@@ -1,0 +1,137 @@
+"""Choices inside the traversal and what they would cost otherwise: the kernels' source with one piece changed, in one process.
+
+Every variant gives the same events as the program, which is checked before it is measured.
+"""
+
+import importlib.util
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rtrace import traverse
+from rtrace.nodes import Tree
+from rtrace.traverse import Rays, Room
+from tests.bench.measure import ratio, times
+
+_SCALAR = """            t = (nodes[b + nx] - ax) * ix
+            t0 = t if t > t0 else t0
+            t = (nodes[b + ny] - ay) * iy
+            t0 = t if t > t0 else t0
+            t = (nodes[b + nz] - az) * iz
+            t0 = t if t > t0 else t0
+            t = (nodes[b + THREE - nx] - zx) * ix
+            t1 = t if t < t1 else t1
+            t = (nodes[b + FIVE - ny] - zy) * iy
+            t1 = t if t < t1 else t1
+            t = (nodes[b + SEVEN - nz] - zz) * iz
+            t1 = t if t < t1 else t1
+"""
+_FACES = """        bx, by, bz = backwards & ONE, backwards >> ONE & ONE, backwards >> TWO
+        nx, ny, nz = THREE * bx, ONE + THREE * by, TWO + THREE * bz
+        ax, ay, az = ox + np.copysign(px, ix), oy + np.copysign(py, iy), oz + np.copysign(pz, iz)
+        zx, zy, zz = ox - np.copysign(px, ix), oy - np.copysign(py, iy), oz - np.copysign(pz, iz)
+"""
+_CHOSEN = """                    inverse_ = ix if axis == ZERO else (iy if axis == ONE else iz)
+                    from_near = ax if axis == ZERO else (ay if axis == ONE else az)
+                    from_far = zx if axis == ZERO else (zy if axis == ONE else zz)
+                    low = (nodes[b] - from_near) * inverse_
+                    high = (nodes[b] - from_far) * inverse_
+"""
+
+
+class Variant(NamedTuple):
+    """``changes`` are (first words, last words, replacement): the piece from the first to the end of the last is replaced."""
+
+    tree: str
+    changes: list[tuple[str, str, str]]
+    prepare: Callable[[Tree], Tree] = lambda tree: tree
+
+
+def _aligned(tree: Tree) -> Tree:
+    """Return the tree with sibling pairs in one 64-byte line of the processor's caches each."""
+    size = tree.nodes.dtype.itemsize
+    raw = np.empty(tree.nodes.nbytes + 128, np.uint8)
+    start = (64 - size - raw.ctypes.data) % 64
+    nodes = raw[start : start + tree.nodes.nbytes].view(tree.nodes.dtype)
+    nodes[:] = tree.nodes
+    return tree._replace(nodes=nodes)
+
+
+_BY_NUMBER = [("triangle_t(corners, ", "i * NINE,", "triangle_t(corners, np.uint64(c) * NINE,")]
+
+VARIANTS = {
+    "BVH: box tests one plane after the other": Variant(
+        "bvh",
+        [
+            ("            # The fourth lanes hold", "t1 = z if z < t1 else t1\n", _SCALAR),
+            ("        # The origin as seen from a box's", "scale = pack(ix, iy, iz)\n", _FACES),
+        ],
+    ),
+    "BVH: requests copied by a loop": Variant(
+        "bvh", [("    e0, e1 = ", "    end = n_events + pp - BOTTOM\n    n_events += EIGHT\n    pp -= EIGHT\n",
+                 "    end = n_events + pp - BOTTOM\n")]
+    ),
+    "kd-tree: choosing among three variables at a node": Variant(
+        "kdtree",
+        [
+            ("                    low = (nodes[b] - seen[FOUR", "seen[EIGHT + axis]) * seen[axis]\n", _CHOSEN),
+            ("        # Per axis: the inverse, and", "fifth more time.\n", _FACES[_FACES.index("        ax,") :]),
+        ],
+    ),
+    "BVH: triangles by their number, not in leaf order": Variant(
+        "bvh", _BY_NUMBER, lambda tree: tree._replace(corners=tree.triangles)
+    ),
+    "kd-tree: triangles by their number, not in leaf order": Variant(
+        "kdtree", _BY_NUMBER, lambda tree: tree._replace(corners=tree.triangles)
+    ),
+    "BVH: pairs of nodes in one line of the processor's cache": Variant("bvh", [], _aligned),
+    "kd-tree: pairs of nodes in one line of the processor's cache": Variant("kdtree", [], _aligned),
+}  # fmt: skip
+
+
+def module_of(name: str, variant: Variant, folder: Path) -> Any:
+    """Return ``rtrace.traverse`` with the variant's changes, as a module."""
+    source = Path(traverse.__file__).read_text(encoding="utf-8")
+    for first, last, new in variant.changes:
+        start = source.index(first)
+        source = source[:start] + new + source[source.index(last, start) + len(last) :]
+    path = folder / f"variant_{list(VARIANTS).index(name)}.py"
+    path.write_text(source, encoding="utf-8")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def bench_variants(tree: Tree, pieces: list[Rays], repeat: int) -> dict[str, float]:
+    """Return for each variant of a tree's traversal its time, traced, closest hit, over ours."""
+    room = Room()
+
+    def traced(module: Any, tree: Tree) -> Callable[[], None]:
+        def call() -> None:
+            for piece in pieces:
+                module.trace_recorded(tree, piece, room=room)
+
+        return call
+
+    def fresh() -> None:
+        for piece in pieces:
+            traverse.trace_recorded(tree, piece)
+
+    kind = {"bvh": "BVH", "kdtree": "kd-tree"}[tree.kind]
+    functions = {f"{kind}: fresh memory for the events of every batch": fresh}
+    want = traverse.trace_recorded(tree, pieces[0])[2]
+    with tempfile.TemporaryDirectory() as folder:
+        for name, variant in VARIANTS.items():
+            if variant.tree == tree.kind:
+                module, other = module_of(name, variant, Path(folder)), variant.prepare(tree)
+                np.testing.assert_array_equal(module.trace_recorded(other, pieces[0])[2], want, name)
+                functions[name] = traced(module, other)
+        taken = times({"ours": traced(traverse, tree), **functions}, repeat)
+    return {f"{name}: time": ratio(taken[name], taken["ours"]) for name in functions}
