@@ -26,8 +26,8 @@ import numpy as np
 from cachesim.config import CacheConfig
 from cachesim.design import Design, Stage, expected, weights
 from cachesim.known import ALONE, DEMAND, REQUESTS
+from cachesim.regression import LIKELY, Interval, Ratio, Sample, value_of
 from cachesim.regression import Estimate as Extrapolated
-from cachesim.regression import Interval, Ratio, Sample, value_of
 from cachesim.regression import estimate as extrapolate
 from cachesim.units import ACCESSES, PREFETCHES, RAYS, UnitCounts, UnitSource
 
@@ -253,6 +253,7 @@ class Look:
 
     intervals: list[Interval]
     n_sampled: int
+    share: float  # of the run that had to be traced for this sample alone
     is_within: bool
     flags: list[str]
     hopeless: str
@@ -293,7 +294,9 @@ class Sampler:
         is_within = widest <= 1 and not flags
         hopeless = self._hopeless(stage, widest, flags)
         split = np.empty(0, np.int64) if is_within or hopeless else self._to_split(stage, found, target, widest)
-        return Look(found.intervals, stage.units.size, is_within, flags, hopeless, split)
+        second = stage.units[sample.second].tolist()
+        share = self._counts.cost(stage.units.tolist(), second, self._warm) / self._counts.n_positions
+        return Look(found.intervals, stage.units.size, share, is_within, flags, hopeless, split)
 
     def _extrapolate(self, stage: Stage) -> tuple[Sample, Extrapolated]:
         sample = self._sample(stage)
@@ -348,7 +351,7 @@ class Sampler:
         for config, at, name in self._targeted():
             value = intervals[at]
             if target.part(value.bracket, value.value) > 0.5:
-                share = min(2 * value.bracket / (value.value + value.bracket), 1.0)
+                share = min(value.bracket / LIKELY / value.value, 1.0)
                 flags.append(
                     f"{config}: after {self._warm} positions of warm-up up to {100 * share:.2g} % of its "
                     f"{name.replace('_', ' ')} are first touches of lines, or re-use from longer ago, which no sample settles"

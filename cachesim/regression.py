@@ -4,7 +4,7 @@ Two phases. Units of a first sample, drawn in strata of neighbouring units, are 
 are certain, others open (``known``). A random part of them is counted again with a long warm-up, which settles nearly all
 that was open. The share of open misses that turn out to be misses is a regression coefficient through the origin, taken from
 the second sample and applied to the first (two-phase regression: Cochran 1977, Sec. 12.6; Saerndal, Swensson and Wretman 1992,
-Ch. 9). What stays open after the long warm-up is not estimated at all: it widens the interval as far as it may go either way.
+Ch. 9). What stays open after the long warm-up widens the interval as far as it may go.
 
 Every quantity is a ratio of products of totals, linearised about the estimate, so numerator and denominator are
 taken from the same units and what they have in common cancels.
@@ -16,6 +16,10 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
+
+#: Part of the misses open after a long warm-up that is taken to be misses: what was not used for that long is rarely still
+#: there. Measured 0.94 to 0.98 in the scene where it matters, the bunny with its empty margins. The interval covers none to all.
+LIKELY = 0.9
 
 #: Draws for the joint distribution of all errors: the quantile's own error is 0.3 % of coverage.
 _DRAWS = 4000
@@ -68,7 +72,7 @@ class Interval(NamedTuple):
 class Estimate(NamedTuple):
     """Totals of the whole run, and the errors of ratios of them."""
 
-    totals: np.ndarray  # (n_counts + n_misses,) with half of the bracket
+    totals: np.ndarray  # (n_counts + n_misses,) with the likely part of the bracket
     intervals: list[Interval]
     means: np.ndarray  # (n_strata, n_ratios) of the units' contributions to each ratio's error
     variances: np.ndarray  # (n_strata, n_ratios) of them
@@ -134,9 +138,9 @@ def estimate(sample: Sample, ratios: Sequence[Ratio], *, confidence: float = 0.9
         missed[:, n_counts:] = settled - predicted[sample.second, n_counts:]
         return predicted, missed
 
-    totals = weight @ predict(sample.settled + sample.bracket / 2)[0]
+    totals = weight @ predict(sample.settled + LIKELY * sample.bracket)[0]
     bracket = np.zeros_like(totals)
-    bracket[n_counts:] = (weight @ sample.open_) * (own * sample.bracket).sum(axis=0) / open_of_second / 2
+    bracket[n_counts:] = (weight @ sample.open_) * (own * sample.bracket).sum(axis=0) / open_of_second * LIKELY
     values, gradients = zip(*(_linearise(ratio, totals) for ratio in ratios), strict=True)
     gradient = np.array(gradients)
 
@@ -173,7 +177,7 @@ def estimate(sample: Sample, ratios: Sequence[Ratio], *, confidence: float = 0.9
     if is_random.sum() > 1:
         scale = np.outer(deviation[is_random], deviation[is_random])
         tail = joint_tail(covariance[np.ix_(is_random, is_random)] / scale, confidence, seed)
-    # Half of the bracket either way, for each total apart.
+    # As far as it goes to the side where no open miss is one, for each total apart.
     widths = np.abs(gradient) @ bracket
     intervals = []
     for k, value in enumerate(values):

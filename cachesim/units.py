@@ -97,6 +97,8 @@ class UnitCounts:
     Attributes
     ----------
     n_units : int
+    row, n_positions : int
+        The source's.
     n_traced : int
         Positions traced so far, those before the units included.
     """
@@ -113,10 +115,12 @@ class UnitCounts:
         unit = -(-source.unit // source.grain) * source.grain
         self._starts = np.append(np.arange(0, source.n_positions, unit), source.n_positions)
         self.n_units = self._starts.size - 1
+        self.row, self.n_positions = source.row, source.n_positions
         self.n_traced = 0
         self._counts: dict[int, np.ndarray] = {}
         self._short: dict[int, Counts] = {}
         self._long: dict[tuple[int, int], _Long] = {}
+        self._before: dict[int, int] = {}  # positions of the short warm-up
 
     @property
     def middles(self) -> np.ndarray:
@@ -142,11 +146,17 @@ class UnitCounts:
         # The longest jobs first: none is left over at the end for one thread.
         jobs.sort(key=lambda job: -job[1])
         with ThreadPoolExecutor(self._threads) as pool:
-            for (unit, long_), (counts, short, settled, traced) in zip(jobs, pool.map(self._one, jobs), strict=True):
-                self._counts[unit], self._short[unit] = counts, short
+            for (unit, long_), (counts, short, settled, before) in zip(jobs, pool.map(self._one, jobs), strict=True):
+                self._counts[unit], self._short[unit], self._before[unit] = counts, short, before
                 if long_:
                     self._long[unit, warm] = settled
-                self.n_traced += traced
+                self.n_traced += self.cost([unit], [unit] if long_ else [], warm)
+
+    def cost(self, units: Iterable[int], second: Iterable[int], warm: int) -> int:
+        """Return how many positions are traced to count these units, which were counted before."""
+        length = np.diff(self._starts)
+        n = sum(int(length[u]) + self._before[u] for u in units)
+        return n + sum(max(min(warm, int(self._starts[u])) - self._before[u], 0) for u in second)
 
     def table(self, units: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the sure counts (n, 3), certain misses and open misses (n, 3 x caches) of counted units, as float64."""
@@ -195,7 +205,7 @@ class UnitCounts:
                 long_.step(*piece[:2])
             settled = long_.step(*own[:2])
         counts = np.array([counted.accesses, counted.prefetches, own[2]], float)
-        return counts, counted, _Long(settled.misses.ravel(), settled.open_.ravel()), stop - (min(far, low) if warm else low)
+        return counts, counted, _Long(settled.misses.ravel(), settled.open_.ravel()), start - low
 
     def _back(self, position: int, n: int) -> int:
         """Return the position ``n`` before, or a little more, at which a stretch may start."""
@@ -244,6 +254,7 @@ class UnitCounts:
                 np.savez(
                     file, key=np.array(self._key()), units=units, long=np.array(long_, np.int64).reshape(-1, 2),
                     settled=settled[0], bracket=settled[1], n_traced=self.n_traced, counts=counts, certain=certain, open=open_,
+                    before=[self._before[u] for u in units],
                 )  # fmt: skip
             temporary.replace(path)
         finally:
@@ -265,9 +276,9 @@ class UnitCounts:
                 if key != self._key():
                     raise ValueError("it is of another scene, tree, picture or set of caches")
                 shape = (-1, len(self._configs), 3)
-                rows = zip(kept["units"], kept["counts"], kept["certain"], kept["open"], strict=True)
-                for unit, counts, certain, open_ in rows:
-                    self._counts[int(unit)] = counts
+                rows = zip(kept["units"], kept["counts"], kept["certain"], kept["open"], kept["before"], strict=True)
+                for unit, counts, certain, open_, before in rows:
+                    self._counts[int(unit)], self._before[int(unit)] = counts, int(before)
                     self._short[int(unit)] = Counts(
                         int(counts[0]), int(counts[1]), certain.reshape(shape)[0], open_.reshape(shape)[0]
                     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cachesim.design import Design, expected, weights
-from cachesim.regression import Ratio, Sample, estimate, joint_tail, t_quantile
+from cachesim.regression import LIKELY, Ratio, Sample, estimate, joint_tail, t_quantile
 
 #: Student's t by probability above it and degrees of freedom, from printed tables.
 TABLE = {(0.025, 4): 2.776, (0.025, 10): 2.228, (0.025, 30): 2.042, (0.005, 8): 3.355, (0.001, 10): 4.144, (0.0005, 30): 3.646}
@@ -89,8 +89,8 @@ def test_what_stays_open_widens_the_interval_by_as_much():
     left = sample._replace(settled=sample.settled - 4, bracket=np.full_like(sample.bracket, 4.0))
     wide = estimate(left, [TOTAL]).intervals[0]
     n_units = sample.edges[-1]
-    assert wide.bracket == pytest.approx(2 * n_units, rel=0.1)
-    assert wide.value == pytest.approx(plain.value - 2 * n_units, rel=0.02)
+    assert wide.bracket == pytest.approx(4 * LIKELY * n_units, rel=0.1)
+    assert wide.value == pytest.approx(plain.value - 4 * (1 - LIKELY) * n_units, rel=0.02)
     assert wide.value - wide.half < plain.value - 4 * n_units + plain.half and wide.half > wide.bracket
 
 
