@@ -184,25 +184,22 @@ class UnitCounts:
         unit, warm = job
         start, stop = int(self._starts[unit]), int(self._starts[unit + 1])
         far = self._back(start, warm)
-        # Backwards until enough was accessed: rays that pass the scene by warm nothing, and cost nothing.
-        least, low, step = self._back(start, self._source.row), start, SHORT
-        before: list[tuple[np.ndarray, np.ndarray, int]] = []
-        n_before = 0
+        # Backwards until enough was accessed: rays that pass the scene by warm nothing, and cost little.
+        least, low = self._back(start, self._source.row), self._back(start, SHORT)
+        *before, own = self._accesses(*dict.fromkeys((low, start)), stop)
+        n_before, step = sum(piece[0].size for piece in before), 4 * SHORT
         while low > least and n_before < self._enough:
-            high, low = low, max(self._back(low, step), least)
-            before += self._accesses(low, high)
-            n_before += before[-1][0].size
-            step *= 2
-        own = self._accesses(start, stop)[0]
+            low, high = max(self._back(low, step), least), low
+            before[:0] = self._accesses(low, high)
+            n_before += before[0][0].size
+            step *= 4
         short = KnownReplay(self._configs, from_start=low == 0)
-        for piece in reversed(before):
-            short.step(*piece[:2])
+        short.step(*_joined(before))
         counted = short.step(*own[:2])
         settled = counted
         if warm and far < low:
             long_ = KnownReplay(self._configs, from_start=far == 0)
-            for piece in [*self._accesses(far, low), *reversed(before)]:
-                long_.step(*piece[:2])
+            long_.step(*_joined([*self._accesses(far, low), *before]))
             settled = long_.step(*own[:2])
         counts = np.array([counted.accesses, counted.prefetches, own[2]], float)
         return counts, counted, _Long(settled.misses.ravel(), settled.open_.ravel()), start - low
@@ -287,3 +284,11 @@ class UnitCounts:
                 self.n_traced = int(kept["n_traced"])
         except (OSError, KeyError, EOFError, ValueError) as e:
             raise ValueError(f"{path} cannot be resumed from: {e}; name another file or remove it") from e
+
+
+def _joined(pieces: Sequence[tuple[np.ndarray, np.ndarray, int]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the (lines, labels) of pieces of a trace in one: a step of a replay costs as much as some thousand accesses."""
+    if len(pieces) == 1:
+        return pieces[0][:2]
+    lines, labels, _ = zip(*pieces, strict=True) if pieces else ((np.empty(0, np.uint32),), (np.empty(0, np.uint8),), ())
+    return np.concatenate(lines), np.concatenate(labels)

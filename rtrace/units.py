@@ -101,7 +101,10 @@ class RayUnits:
         width = self._shooting.width
         step = min(max(max(width, self._shooting.height) // _SCOUT_SIDE, _SCOUT_STEPS[0]), _SCOUT_STEPS[1])
         x, y = np.random.default_rng([seed, step]).integers(step, size=2)
-        at = np.flatnonzero((self._pixels % width % step == x) & (self._pixels // width % step == y))
+        if self._shooting.order == "scanline":
+            at = (np.arange(y, self._shooting.height, step)[:, None] * width + np.arange(x, width, step)).ravel()
+        else:
+            at = np.flatnonzero((self._pixels % width % step == x) & (self._pixels // width % step == y))
         cuts = [*range(0, len(at), max(-(-width // step), _LEAST_GROUP)), len(at)]
         places = np.array([at[low:high].mean() for low, high in pairwise(cuts)])
         pixels = self._pixels[at]
