@@ -120,7 +120,7 @@ def test_an_unattainable_target_is_refused_before_most_is_traced():
     source = ArraySource(mixed({7, 100, 101, 102, 300, 450}), row=256)
     result = estimate(source, [CacheConfig(512, 2)], Target(0.002, 0.0), exact_below=0)
     assert result.method == "exact" and ("of the run" in result.reason or "no sample settles" in result.reason)
-    assert rate(result).half == 0 and 1 < result.share < 1.5
+    assert rate(result).half == 0 and 1 < result.share < 1.6
 
 
 def test_a_run_of_a_moment_is_counted_at_once():
