@@ -224,6 +224,7 @@ def render(
     nptrace render bunny
     nptrace render model.obj --accel bvh --size 512x512 --camera "eye=0,2,5 at=0,0,0"
     """
+    from rtrace import precision
     from rtrace.camera import parse_camera, parse_point, parse_size
     from rtrace.render import Shooting, render_all
     from rtrace.scene import seen_from
@@ -233,6 +234,9 @@ def render(
     chosen = {kind: params[kind] for kind in accel or params}
     eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
     scenes = [seen_from(scene, eye, lamp) for scene in load_scenes(names, strict, offline)]
+    for scene in scenes:
+        if scene.precision is not None:
+            click.echo(f"{scene.label}: {precision.choice(scene.precision)}", err=True)
     n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen) * (1 if batch else 2)
     with progress_bar("trace", n_pixels) as progress:
         runs = list(
