@@ -5,10 +5,10 @@ BIN := .venv/bin
 INSTALLED := .venv/installed
 RUNS ?= traces
 THREADS ?= 2
-PAGES := README.md docs/correctness.md
+PAGES := README.md docs/correctness.md docs/speed-error.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test bench lint docs docs-check correctness reproduce-table clean
+.PHONY: help test bench lint docs docs-check correctness speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -51,6 +51,16 @@ correctness: $(INSTALLED) ## Run the hard cases (long form) and all mutations, a
 
 bench: $(INSTALLED) ## Measure speed against peers, as ratios, and write docs/data/bench.csv (ARGS=--quick: a minute, writes nothing)
 	$(BIN)/python -m tests.bench $(ARGS)
+
+speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour or two, and write docs/speed-error.md (ARGS=--quick: a minute, writes nothing)
+	$(BIN)/python -m tests.bench.speed_error $(ARGS)
+	$(BIN)/python -m tests.bench.arithmetic $(ARGS)
+ifneq ($(ARGS),--quick)
+	$(BIN)/python -m tests.bench.estimate_speed
+	rm -f docs/data/calibration.csv
+	$(BIN)/python -m tests.bench.calibration
+	$(BIN)/cog -r docs/speed-error.md
+endif
 
 clean: ## Remove the environment and the runs under traces/
 	rm -rf .venv $(wildcard traces/*/)
