@@ -5,10 +5,10 @@ BIN := .venv/bin
 INSTALLED := .venv/installed
 RUNS ?= traces
 THREADS ?= 2
-PAGES := README.md docs/correctness.md docs/performance.md
+PAGES := README.md docs/correctness.md docs/performance.md docs/speed-error.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test bench lint docs docs-check correctness fuzz reproduce-table clean
+.PHONY: help test bench lint docs docs-check correctness fuzz speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -58,6 +58,16 @@ fuzz: $(INSTALLED) ## Try 100,000 inputs nobody would write and put their number
 bench: $(INSTALLED) ## Measure speed, about 15 minutes, and write docs/performance.md (ARGS=--quick: half a minute, writes nothing)
 	$(BIN)/python -m tests.bench $(ARGS)
 	@test -n "$(ARGS)" || { $(BIN)/python -m tests.bench.scaling && $(BIN)/cog -r docs/performance.md; }
+
+speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour or two, and write docs/speed-error.md (ARGS=--quick: a minute, writes nothing)
+	$(BIN)/python -m tests.bench.speed_error $(ARGS)
+	$(BIN)/python -m tests.bench.arithmetic $(ARGS)
+ifneq ($(ARGS),--quick)
+	$(BIN)/python -m tests.bench.estimate_speed
+	rm -f docs/data/calibration.csv
+	$(BIN)/python -m tests.bench.calibration
+	$(BIN)/cog -r docs/speed-error.md
+endif
 
 clean: ## Remove the environment and the runs under traces/
 	rm -rf .venv $(wildcard traces/*/)

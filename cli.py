@@ -20,6 +20,8 @@ from cachesim.config import CacheConfig, parse_bytes, parse_ways
 
 if TYPE_CHECKING:
     from cachesim.account import Result
+    from cachesim.estimate import Estimated, Target
+    from cachesim.text import Table
     from rtrace.scene import Scene
     from traces.format import Run
 
@@ -228,6 +230,7 @@ def render(
     nptrace render bunny
     nptrace render model.obj --accel bvh --size 512x512 --camera "eye=0,2,5 at=0,0,0"
     """
+    from rtrace import precision
     from rtrace.camera import parse_camera, parse_point, parse_size
     from rtrace.render import Shooting, render_all
     from rtrace.scene import seen_from
@@ -237,6 +240,9 @@ def render(
     chosen = {kind: params[kind] for kind in accel or params}
     eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
     scenes = [seen_from(scene, eye, lamp) for scene in load_scenes(names, strict, offline)]
+    for scene in scenes:
+        if scene.precision is not None:
+            click.echo(f"{scene.label}: {precision.choice(scene.precision)}", err=True)
     n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen) * (1 if batch else 2)
     with progress_bar("trace", n_pixels) as progress:
         runs = list(
@@ -506,25 +512,140 @@ def sweep(
         click.echo(sweep_files.to_csv(rows), nl=False)
 
 
+def picture_options(command: Any) -> Any:
+    """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace what they need."""
+    orders = ["scanline", "tile", "morton", "hilbert", "random"]
+    for option in reversed((
+        click.option("--pixels", default="2048x2048", show_default=True, metavar="WxH", help="Size of the picture."),
+        click.option("--camera", metavar="TEXT", help="As in nptrace render."),
+        click.option("--light", metavar="X,Y,Z", help="As in nptrace render."),
+        click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help="As in render."),
+        click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help="As in nptrace render."),
+        click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help="As in nptrace render."),
+        click.option("--bvh", "bvh_builder", type=click.Choice(["sweep", "binned"]), default="sweep", show_default=True),
+        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sample and a random order."),
+        click.option(
+            "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",
+            help="Runs of up to N predicted accesses are counted exactly at once.",
+        ),
+        threads_option(),
+        scene_options,
+    )):  # fmt: skip
+        command = option(command)
+    return command
+
+
+def estimate_scenes(
+    scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", *, pixels: str,
+    camera: str | None, light: str | None, order: str, batch: int, kd_text: str, bvh_builder: str, seed: int,
+    exact_below: float, threads: int, resume: Path | None = None,
+) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
+    """Hand the renderer of every scene and tree to the estimator; return (tree, scene, result) of each."""
+    from cachesim.estimate import estimate as estimate_source
+    from rtrace.camera import parse_camera, parse_point, parse_size
+    from rtrace.render import Shooting
+    from rtrace.scene import seen_from
+    from rtrace.treecache import cached_tree
+    from rtrace.units import RayUnits
+
+    shooting = Shooting(*parse_size(pixels), order, batch, seed if order == "random" else 0)
+    params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
+    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
+    if resume is not None and len(scenes) * len(accel) > 1:
+        raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
+    found = []
+    for scene in scenes:
+        for kind in accel:
+            source = RayUnits(seen_from(scene, eye, lamp), cached_tree(scene, kind, **params[kind]), shooting)
+            with progress_bar(f"estimate {source.name}", None) as progress:
+                result = estimate_source(
+                    source, configs, target, seed=seed, threads=threads, exact_below=exact_below, resume=resume,
+                    progress=progress,
+                )  # fmt: skip
+            found.append((kind, scene, result))
+    return found
+
+
+@npcache.command()
+@click.argument("names", metavar="SCENE...", nargs=-1, required=True)
+@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
+@list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
+@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Ways, e.g. 1,2,full.")
+@click.option("--line", type=str, default="32", show_default=True, metavar="SIZE", help="Line size in bytes.")
+@click.option("--table1", "is_table1", is_flag=True, help="The four caches of Table I, instead of --size and --assoc.")
+@click.option(
+    "--target-error", "error", default="2%,0.05pp", show_default=True, metavar="ERROR",
+    help="Half-width allowed for every miss rate: of its value (2%), in points (0.05pp), or the wider of two.",
+)  # fmt: skip
+@picture_options
+@click.option(
+    "--resume", type=click.Path(path_type=Path, dir_okay=False), help="File that keeps the counts; continued if there."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def estimate(
+    names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
+    resume: Path | None, as_json: bool, strict: bool, offline: bool, **picture: Any,
+) -> None:  # fmt: skip
+    """Estimate the miss rates of a picture from as few of its rays as a target error takes.
+
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. It is rendered as `nptrace render` does with the same
+    options, but only where the sample needs it, and nothing is written.
+
+    \b
+    npcache estimate sponza --table1
+    npcache estimate model.obj --size 16K,64K --assoc 2,8 --target-error 5% --pixels 4096x4096 --accel bvh
+    """
+    from cachesim import estimate_text
+    from cachesim.estimate import parse_target
+    from cachesim.table1 import caches
+    from cachesim.text import print_tables
+
+    target = parse_target(error)
+    configs = caches() if is_table1 else [
+        CacheConfig(one_size, parse_ways(ways, one_size, parse_bytes(line)), parse_bytes(line))
+        for one_size in size for ways in assoc
+    ]  # fmt: skip
+    found = estimate_scenes(
+        load_scenes(names, strict, offline), accel or ("kdtree", "bvh"), configs, target, resume=resume, **picture
+    )
+    results = [result for _, _, result in found]
+    if as_json:
+        click.echo(json.dumps([result.to_dict() for result in results], indent=2))
+    else:
+        print_tables(*estimate_text.tables(results), sys.stdout)
+
+
 @npcache.command()
 @traces_option()
+@click.option(
+    "--target-error", "error", metavar="ERROR",
+    help="Estimate it for large pictures instead, from no runs: 2%, 0.05pp or 2%,0.05pp, as in npcache estimate.",
+)  # fmt: skip
+@click.option(
+    "--pixels", default="2048x2048", show_default=True, metavar="WxH", help="With --target-error: size of the picture."
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: of the sample.")
 @click.option("--format", "form", type=click.Choice(FORMATS), default=FORMATS[0], show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file instead of stdout.")
-def table1(folder: Path, form: str, as_json: bool, output: Path | None) -> None:
-    """Print Table I of the paper beside ours, for the runs there are.
+def table1(
+    folder: Path, error: str | None, pixels: str, seed: int, form: str, as_json: bool, output: Path | None
+) -> None:  # fmt: skip
+    """Print Table I of the paper beside ours, for the runs there are, or estimated for large pictures.
 
     \b
     npcache table1
     npcache table1 --format csv -o table1.csv
+    npcache table1 --target-error 2%,0.05pp --pixels 2048x2048
     """
-    import io
-    import json
 
     from cachesim import table1 as table
-    from cachesim import table1_text, text
+    from cachesim import table1_text
     from traces.format import open_run
 
+    if error is not None:
+        estimated_table1(error, pixels, seed, "json" if as_json else form, output)
+        return
     runs: list[Run] = [open_run(path) for path in default_sources(folder)]
     chosen = table.choose_runs(runs)
     if not chosen:
@@ -538,12 +659,42 @@ def table1(folder: Path, form: str, as_json: bool, output: Path | None) -> None:
         write_out(json.dumps(table.to_dicts(rows), indent=2) + "\n", output)
     elif form == "csv":
         write_out(table.to_csv(rows), output)
-    elif form == "table":
-        if output is None:
-            text.print_tables(tables, notes, sys.stdout)
-        else:
-            printed = io.StringIO()
-            text.print_tables(tables, notes, printed)
-            write_out(printed.getvalue(), output)
     else:
+        write_tables(tables, notes, form, output)
+
+
+def write_tables(tables: "list[Table]", notes: list[str], form: str, output: Path | None) -> None:
+    """Write tables as ``table``, ``markdown`` or ``latex``."""
+    import io
+
+    from cachesim import text
+
+    if form != "table":
         write_out({"markdown": text.to_markdown, "latex": text.to_latex}[form](tables, notes), output)
+    elif output is None:
+        text.print_tables(tables, notes, sys.stdout)
+    else:
+        printed = io.StringIO()
+        text.print_tables(tables, notes, printed)
+        write_out(printed.getvalue(), output)
+
+
+def estimated_table1(error: str, pixels: str, seed: int, form: str, output: Path | None) -> None:
+    """Write Table I estimated for the four scenes and both trees."""
+    from cachesim import estimate_text
+    from cachesim.estimate import EXACT_BELOW, parse_target
+    from cachesim.table1 import SCENES, TREES, caches
+
+    target = parse_target(error)
+    if form == "csv":
+        raise BadInput("--format csv has no place for half-widths; with --target-error write json, table, markdown or latex")
+    scenes = load_scenes(SCENES, strict=False, offline=False)
+    found = estimate_scenes(
+        scenes, tuple(TREES), caches(), target, pixels=pixels, camera=None, light=None, order="scanline", batch=1, kd_text="",
+        bvh_builder="sweep", seed=seed, exact_below=EXACT_BELOW, threads=os.cpu_count() or 1,
+    )  # fmt: skip
+    ordered = [(tree, scene.name, result) for tree in TREES for kind, scene, result in found if kind == tree]
+    if form == "json":
+        write_out(json.dumps(estimate_text.table1_dicts(ordered), indent=2) + "\n", output)
+    else:
+        write_tables(*estimate_text.table1_tables(ordered), form, output)

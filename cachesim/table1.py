@@ -71,6 +71,11 @@ def paper_table() -> dict[Key, dict[str, float]]:
     }
 
 
+def caches() -> list[CacheConfig]:
+    """Return the four caches of the table, in its order."""
+    return [CacheConfig(size, ways, 32) for size, ways in dict.fromkeys((size, ways) for _, _, size, ways in paper_table())]
+
+
 def acpr(n: float, miss_rate: float | None) -> float | None:
     """Return the average cycles a ray spends on node accesses, the paper's equation 1."""
     return None if miss_rate is None else n * ((1 - miss_rate) * HIT_CYCLES + miss_rate * MISS_CYCLES)

@@ -10,6 +10,8 @@ import numpy as np
 from rtrace.camera import Camera, Point, fit_camera, fit_light
 from rtrace.meshfile import SceneError as SceneError
 from rtrace.meshfile import read_mesh
+from rtrace.precision import Precision, measure
+from rtrace.precision import notes as float32_notes
 
 _N_FIRST = 5  # so many numbers of dropped triangles are named
 
@@ -46,6 +48,8 @@ class Scene(NamedTuple):
         Made up here, in place of a scene that was not found.
     notes : tuple of str
         What a reader of the results should know; one sentence each.
+    precision : Precision
+        Whether float32 carries the scene, as it was before its vertices were rounded.
     """
 
     name: str
@@ -58,6 +62,7 @@ class Scene(NamedTuple):
     dropped: tuple[Dropped, ...] = ()
     stand_in: bool = False
     notes: tuple[str, ...] = ()
+    precision: Precision | None = None
 
     @property
     def label(self) -> str:
@@ -78,8 +83,6 @@ def load_mesh(path: str | Path, *, strict: bool = False) -> Scene:
     path = Path(path)
     vertices, faces = read_mesh(path)
     stray = np.any((faces < 0) | (faces >= len(vertices)), axis=1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        vertices = np.asarray(vertices, np.float32)
     if stray.all():
         triangles = np.zeros((len(faces), 3, 3), np.float32)
     else:
@@ -105,8 +108,9 @@ def scene_from_triangles(
     ``stray``, (n,) bool, marks triangles whose vertex numbers were out of range. A camera and a light are fitted if None.
     Raises SceneError as ``load_mesh`` does.
     """
+    given = np.asarray(triangles)
     with np.errstate(over="ignore", invalid="ignore"):
-        triangles = np.ascontiguousarray(triangles, np.float32)
+        triangles = np.ascontiguousarray(given, np.float32)
     if triangles.ndim != 3 or triangles.shape[1:] != (3, 3):
         raise SceneError(f"{source}: triangles have the shape {triangles.shape}, must be (n, 3, 3)")
     n = len(triangles)
@@ -117,16 +121,17 @@ def scene_from_triangles(
     if dropped:
         if strict:
             raise SceneError(f"{_dropped_text(source, dropped, n)}; repair the mesh, or leave out --strict to use the rest")
-        triangles = triangles[~(endless | stray)]
+        triangles, given = triangles[~(endless | stray)], given[~(endless | stray)]
     if not len(triangles):
         what = _dropped_text(source, dropped, n) if dropped else f"{source}: no triangle"
         raise SceneError(f"{what}; nothing is left to render, repair the mesh")
+    carried = measure(given)
     bounds = np.stack([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))])
     camera = camera or fit_camera(bounds)
     sha256 = hashlib.sha256(np.ascontiguousarray(triangles, "<f4").data).hexdigest()
-    notes += _far_away(bounds)
+    notes += float32_notes(carried)
     light = light or fit_light(camera, bounds)
-    return Scene(name, triangles, bounds, camera, light, source, sha256, dropped, stand_in, notes)
+    return Scene(name, triangles, bounds, camera, light, source, sha256, dropped, stand_in, notes, carried)
 
 
 def seen_from(scene: Scene, camera: Camera | None, light: Point | None) -> Scene:
@@ -155,13 +160,3 @@ def _dropped_text(source: str, dropped: tuple[Dropped, ...], n_all: int) -> str:
         more = ", ..." if count > len(first) else ""
         parts.append(f"{count} {reason} (number {', '.join(map(str, first))}{more})")
     return f"{source}: {sum(d.n for d in dropped)} of {n_all} triangles cannot be used: {' and '.join(parts)}"
-
-
-def _far_away(bounds: np.ndarray) -> tuple[str, ...]:
-    """Return a note if the scene is so far from the origin that float32 moves its vertices visibly."""
-    extent = float(np.max(bounds[1].astype(np.float64) - bounds[0]))
-    reach = float(np.abs(bounds).max())
-    if reach <= 1e4 * extent or extent == 0.0:
-        return ()
-    step = float(np.spacing(np.float32(reach)))
-    return (f"the scene is {extent:g} wide but lies {reach:g} from the origin, where float32 has steps of {step:g}",)

@@ -36,3 +36,16 @@ def test_the_table_of_the_readme_is_what_the_program_prints(tmp_path):
     printed = run(cli.npcache, "table1", "--traces", tmp_path, "--format", "csv")
     assert printed == (ROOT / "docs" / "data" / "table1.csv").read_text()
     assert len(list(csv.DictReader(printed.splitlines()))) == 32
+
+
+def test_the_frontier_of_speed_against_error():
+    from tests.bench.speed_error import frontier
+
+    points = {
+        ("a", ""): (1.0, 0.0),
+        ("b", ""): (2.0, 3.0),
+        ("c", ""): (4.0, 2.0),
+        ("d", ""): (3.0, 2.5),
+        ("e", ""): (9.0, 50.0),
+    }
+    assert frontier(points) == [("a", ""), ("c", ""), ("e", "")]
