@@ -134,7 +134,10 @@ def _sift_up(lists, root, slot, line_id):
 
 @kernel(_nrt=False)
 def _sift_down(lists, root, line_id):
-    """Put a line at the root of a full heap, or below it, in place of the line there."""
+    """Put a line at the root of a full heap, or below it, in place of the line there.
+
+    The lines that rise keep a stale place: an access is to the line of its set that is used soonest, which has none below it.
+    """
     slots, due, end = lists.slots, lists.due, root + lists.ways
     slot = root
     while True:
@@ -146,7 +149,6 @@ def _sift_down(lists, root, line_id):
         if due[line_id] > due[slots[child]]:
             break
         slots[slot] = slots[child]
-        lists.links[2 * (lists.n_sets + slots[slot])] = slot
         slot = child
     slots[slot] = line_id
     lists.links[2 * (lists.n_sets + line_id)] = slot

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from cachesim import nextuse
 from cachesim.config import CacheConfig
+from cachesim.exact import grow_cache, make_cache, replay_optimal
 from cachesim.replay import replay
 from tests.cache_reference import Cache, pieces
 from tests.cache_traces import make_trace, write
@@ -144,6 +145,21 @@ def test_a_run_and_its_derived_requests(tmp_path, kind):
     for a, b in zip(traced, derived, strict=True):
         assert a.to_dict() | {"prefetch": ""} == b.to_dict() | {"prefetch": ""}
     assert sum(traced[1].misses) < sum(traced[0].misses) < sum(traced[2].misses)
+
+
+def test_room_for_more_lines_changes_nothing():
+    rng = np.random.default_rng(6)
+    ids, future = rng.integers(0, 40, 800).astype(np.uint32), nextuse.NextUse()
+    future.add(ids, 40)
+    next_use, labels, counts = future.take(ids.size), np.zeros(ids.size, np.uint8), []
+    for is_grown in (False, True):
+        cache = make_cache(CacheConfig(32, 4, 4, "opt"), 40, three_c=True)
+        for start in range(0, 800, 100):
+            piece = slice(start, start + 100)
+            replay_optimal(ids[piece], ids[piece], labels[piece], next_use[piece], start, cache)
+            cache = grow_cache(cache, 41 + start) if is_grown else cache
+        counts.append(cache.counts.tolist())
+    assert counts[0] == counts[1]
 
 
 def test_what_cannot_be_foreseen_is_refused(monkeypatch):
