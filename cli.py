@@ -387,8 +387,9 @@ def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | Non
 def compile_() -> None:
     """Compile everything now, which the first use of each command does otherwise; kept until the program changes."""
     from jit import CACHE_FOLDER
+    from precompile import compile_all
 
-    n_compiled = compiling.compile_all()
+    n_compiled = compile_all()
     click.echo(f"{n_compiled} kernels compiled, all ready in {CACHE_FOLDER}")
 
 

@@ -1,9 +1,8 @@
-"""Compiling ahead of the first use, and saying so when it happens: a study should not wait for a compiler unawares.
+"""Saying when kernels are being compiled: a study should not wait for a compiler unawares.
 
-Imports nothing heavy by itself, so that ``cli`` can set ``announce`` before it knows which command runs.
+Imports nothing heavy, so that ``cli`` can set ``announce`` before it knows which command runs.
 """
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,41 +17,3 @@ def started(folder: Path) -> None:
     n_compiled += 1
     if n_compiled == 1 and announce is not None:
         announce(f"compiling for this machine, once (all of it takes about half a minute): kept in {folder}")
-
-
-def compile_all() -> int:
-    """Run every kernel of the commands on a tiny scene, which compiles what is not in the cache; return how many were."""
-    from cachesim.config import CacheConfig
-    from cachesim.replay import replay
-    from cachesim.sweep import sweep
-    from rtrace.procedural import stand_in
-    from rtrace.render import Shooting, render
-    from rtrace.treecache import TREES, build_tree
-    from rtrace.verify import compare
-    from traces.din import export_din
-    from traces.format import open_run
-
-    before = n_compiled
-    scene = stand_in("blob", detail=0.1)
-    trees = [build_tree(scene.triangles, kind) for kind in TREES]
-    build_tree(scene.triangles, "bvh", builder="binned")
-    compare(trees, scene, 16, 16, 100, 1)
-    plain = [CacheConfig(512, ways, 16, policy) for ways in (1, 2, 4) for policy in ("lru", "fifo", "random")]
-    two_lines = [CacheConfig(512, 2, 8)]
-    with tempfile.TemporaryDirectory() as name:
-        for tree in trees:
-            path = Path(name) / tree.kind
-            for batch in (0, 1):
-                render(scene, tree, Shooting(16, 16, batch=batch), path, threads=1)
-            run = open_run(path)
-            for prefetch in ("none", "traced", "stack:once", "next-line:tagged"):
-                replay(run, plain + two_lines, prefetch=prefetch, threads=1)
-                replay(run, plain, prefetch=prefetch, is_filtered=False, three_c=True, threads=1)
-            for layout in ("bfs", "dfs", "veb", "treelet:256"):
-                replay(run, plain[:1], layout=layout, threads=1)
-            sweep(run, [CacheConfig(512, ways, 16) for ways in (1, 2, 32)], threads=1)
-            sweep(run, [CacheConfig(64 * 16, 32, 16)], prefetch="stack", threads=1)
-            for form in ("text", "binary"):
-                export_din(run, path.with_suffix(".din"), fmt=form)
-                replay(path.with_suffix(".din"), plain + two_lines, threads=1)
-    return n_compiled - before

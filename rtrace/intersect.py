@@ -14,7 +14,7 @@ from jit import inlined, kernel
 
 #: Margin of the culling tests, relative to the scene's extent as seen from the ray's origin. Rounding moves the point that a
 #: hit stands for by at most 2^-46 of it (``THIN`` times the rounding of an edge function), the culling tests themselves
-#: by 2^-51; float32 coordinates resolve 2^-24, so the margin costs no visits.
+#: by 2^-51; float32 coordinates resolve 2^-24, so only rays that touch a box or plane exactly visit more.
 PAD = 2.0**-44
 #: Rounding of origin + margin, relative to the origin.
 ORIGIN_PAD = 2.0**-50

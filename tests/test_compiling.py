@@ -12,9 +12,9 @@ from jit import CACHE_FOLDER
 ROOT = Path(__file__).resolve().parent.parent
 
 SIGNATURES = """
-import sys, compiling
+import sys, precompile
 from numba.core.dispatcher import Dispatcher
-compiling.compile_all()
+precompile.compile_all()
 for name, module in sorted(sys.modules.items()):
     if name.split(".")[0] in ("rtrace", "cachesim", "traces"):
         for kernel in vars(module).values():
@@ -38,6 +38,8 @@ run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "lru,fifo,random", "-
 run(cli.npcache, "replay", "--3c", "--layout", "veb,bfs,dfs,treelet:256", "--prefetch", "none,stack:once,next-line:miss")
 run(cli.npcache, "replay", "blob-bvh.din", "--line", "8,32")
 run(cli.npcache, "sweep", "--ways", "1..24,full", "--prefetch", "traced,stack")
+run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "opt")
+run(cli.npcache, "estimate", "blob", "--table1", "--pixels", "32x32", "--offline")
 print(compiling.n_compiled)
 """
 
