@@ -18,8 +18,9 @@ import json
 import os
 import secrets
 import shutil
+from collections import deque
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -104,22 +105,42 @@ COLUMN_ENCODING = {
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
 
+#: Pieces handed over and not yet taken, per file: a chunk of accesses is some MB.
+_AHEAD = 4
+
+
 class RunError(ValueError):
     """A directory that is not a readable run; the message says what is wrong and what to do."""
 
 
 class _Table:
-    """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces handed over."""
+    """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces handed over.
+
+    A thread of its own copies and compresses what is appended, so that the three files of a run are written at the same time
+    and the caller goes on; the arrays must not change until the run is whole.
+    """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self.schema = schema
         self.n_rows = 0
         self._buffers = [np.empty(ROW_GROUP, field.type.to_pandas_dtype()) for field in schema]
         self._filled = 0
+        self._thread = ThreadPoolExecutor(1)
+        self._waiting: deque[Future[None]] = deque()
         self._writer = pq.ParquetWriter(path, schema, column_encoding=COLUMN_ENCODING[path.stem], **ENCODING)
 
     def append(self, columns: Mapping[str, np.ndarray]) -> None:
         pieces = [columns[name] for name in self.schema.names]
+        self.n_rows += pieces[0].shape[0]
+        self._waiting.append(self._thread.submit(self._take, pieces))
+        self._wait(_AHEAD)
+
+    def _wait(self, n_left: int) -> None:
+        """Wait until at most ``n_left`` pieces are not taken yet; raise what went wrong."""
+        while len(self._waiting) > n_left:
+            self._waiting.popleft().result()
+
+    def _take(self, pieces: list[np.ndarray]) -> None:
         n = pieces[0].shape[0]
         start = 0
         while start < n:
@@ -130,7 +151,6 @@ class _Table:
             start += room
             if self._filled == ROW_GROUP:
                 self._flush()
-        self.n_rows += n
 
     def _flush(self) -> None:
         arrays = [pa.array(buffer[: self._filled]) for buffer in self._buffers]
@@ -138,6 +158,9 @@ class _Table:
         self._filled = 0
 
     def close(self, metadata: bytes) -> None:
+        """Write what is left, and the footer."""
+        self._wait(0)
+        self._thread.shutdown()
         if self._filled:
             self._flush()
         self._writer.add_key_value_metadata({METADATA_KEY: metadata})
@@ -145,6 +168,7 @@ class _Table:
 
     def abandon(self) -> None:
         """Close the file handle and ignore what it says: the file is about to be deleted."""
+        self._thread.shutdown(cancel_futures=True)
         with suppress(OSError, pa.ArrowException):
             self._writer.close()
 

@@ -93,7 +93,11 @@ def bench_dinero(run: Run, ours: float) -> dict[str, float]:
                 subprocess.run(command, stdin=file, capture_output=True, check=True)
             out["DineroIV text / 2-way"] = (os.times().children_user - before) / n / ours
         if python:
-            done = subprocess.run([python, "-c", _PYCACHESIM, str(trace)], capture_output=True, text=True, check=True)
+            # Elsewhere than here: its import name is that of our own package, and Python looks in the working folder first.
+            environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+            done = subprocess.run(
+                [python, "-c", _PYCACHESIM, str(trace)], cwd=name, env=environment, capture_output=True, text=True, check=True
+            )
             out["pycachesim / 2-way"] = float(done.stdout) / ours
     return out
 
