@@ -68,7 +68,7 @@ def test_everything_sampled_twice_is_exact():
 
 @pytest.mark.parametrize(("cuts", "m", "second_share"), [(0, 32, 0.0), (1, 12, 0.25)])
 def test_intervals_hold_as_often_as_they_say(cuts, m, second_share):
-    """400 samples at 95 %: fewer than 92.5 % hold in one of 50 such tests (binomial, 2.3 sigma), more than 98 % in one of 300."""
+    """400 samples at 95 %: fewer than 92.5 % hold in one of 50 such tests (binomial, 2.3 sigma), over 98 % in one of 300."""
     given = population(2)
     truth = given[3].sum() / given[0].sum()
     errors, halves, shares = [], [], []
