@@ -5,7 +5,7 @@ and no warm-up is needed (Kessler, Hill and Wood 1994). Misses of the sampled se
 full, because the set that holds the root has more accesses than others, but hardly more misses. The sets are taken by the
 line number modulo the largest number that divides all numbers of sets, so that all caches see the same part of the lines.
 
-Good for caches of 128 sets and more; docs/speed-error.md has the errors.
+Not for small direct-mapped caches, where a few sets have most of the conflicts; docs/speed-error.md has the errors.
 """
 
 from collections.abc import Sequence

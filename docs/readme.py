@@ -187,8 +187,11 @@ def speed_error(cog) -> None:
         cells = []
         for column in COLUMNS:
             own = [row for row in of if row["column"] == column]
+            if not own:
+                cells.append("")
+                continue
             middle, worst = _median([float(r["median_error"]) for r in own]), max(float(r["worst_error"]) for r in own)
-            cells.append(f"{middle:.2g} / {worst:.2g}" if own and worst else "0")
+            cells.append(f"{middle:.2g} / {worst:.2g}" if worst else "0")
         cog.outl(f"| {key[0]} | {key[1]} | {speed:.2g} | " + " | ".join(cells) + " |")
 
 

@@ -66,21 +66,23 @@ def test_everything_sampled_twice_is_exact():
     assert found.intervals[0].half == pytest.approx(0, abs=1e-12)
 
 
-@pytest.mark.parametrize("cuts", [0, 1])
-def test_intervals_hold_as_often_as_they_say(cuts):
-    """400 samples at 95 %: 93 % to 98 % hold unless one of 1,500 such tests is unlucky (binomial, 3.4 sigma at 97 %)."""
+@pytest.mark.parametrize(("cuts", "m", "second_share"), [(0, 32, 0.0), (1, 12, 0.25)])
+def test_intervals_hold_as_often_as_they_say(cuts, m, second_share):
+    """400 samples at 95 %: fewer than 92.5 % hold in one of 50 such tests (binomial, 2.3 sigma), over 98 % in one of 300."""
     given = population(2)
     truth = given[3].sum() / given[0].sum()
-    errors, halves = [], []
+    errors, halves, shares = [], [], []
     for seed in range(400):
-        interval = estimate(sample_of(given, seed, cuts), [RATE]).intervals[0]
+        found = estimate(sample_of(given, seed, cuts, m), [RATE])
+        interval = found.intervals[0]
+        shares.append(found.second_share[0])
         errors.append(interval.value - truth)
         halves.append(interval.half)
     errors, halves = np.array(errors), np.array(halves)
-    assert 0.93 <= (abs(errors) <= halves).mean() <= 0.98
+    assert 0.925 <= (abs(errors) <= halves).mean() <= 0.98
     assert abs(errors.mean()) < np.median(halves) / 5
-    # The second phase takes part: without it the intervals would be too narrow.
-    assert estimate(sample_of(given, 0, cuts), [RATE]).second_share[0] > 0.05
+    # In the second case a third of the variance is the second phase's: without it too few hold, as was tried.
+    assert np.median(shares) >= second_share
 
 
 def test_what_stays_open_widens_the_interval_by_as_much():
