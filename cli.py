@@ -7,16 +7,27 @@ Heavy modules are imported inside the commands, so that ``--help`` is quick.
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-import compiling
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
+from options import (
+    BadInput,
+    Commands,
+    list_option,
+    load_scenes,
+    parse_kd,
+    picture_options,
+    progress_bar,
+    scene_options,
+    threads_option,
+    traces_option,
+    write_out,
+)
 
 if TYPE_CHECKING:
     from cachesim.account import Result
@@ -30,150 +41,9 @@ LAYOUT_HELP = "Where nodes lie: stored, bfs, dfs, veb, treelet:BYTES; +BYTES mov
 FORMATS = ("table", "csv", "json", "markdown", "latex")
 
 
-class BadInput(click.ClickException):
-    """One sentence on stderr, exit status 2."""
-
-    exit_code = 2
-
-
-class Commands(click.Group):
-    """A group whose commands turn ValueError and OSError, both about inputs, into one sentence."""
-
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run as a program: what takes long the first time is said."""
-        if not args:
-            compiling.announce = lambda text: click.echo(text, err=True)
-        return super().__call__(*args, **kwargs)
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Invoke the command."""
-        try:
-            return super().invoke(ctx)
-        except BrokenPipeError:
-            raise  # the reader has enough; click ends quietly
-        except (ValueError, OSError, MemoryError) as e:
-            raise BadInput(str(e) or type(e).__name__) from e
-
-
-class ListOf(click.ParamType):
-    """A comma-separated list; every item goes through a function that raises ValueError on a bad one."""
-
-    def __init__(self, name: str, item: Any) -> None:
-        self.name, self._item = name, item
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the list that a text names."""
-        if not isinstance(value, str):
-            return value
-        try:
-            return [self._item(text) for text in value.split(",")]
-        except ValueError as e:
-            raise BadInput(f"{param.opts[0]}: {e}" if param else str(e)) from e
-
-
-def merged(ctx: click.Context, param: click.Parameter, values: tuple[list[Any], ...]) -> list[Any]:
-    """Join the lists of a repeated option, without repetitions."""
-    return list(dict.fromkeys(item for value in values for item in value))
-
-
-def list_option(*names: str, item: Any, metavar: str, default: str, help: str) -> Any:
-    """Return an option that may be repeated and takes comma-separated lists."""
-    return click.option(
-        *names, type=ListOf(metavar, item), metavar=metavar, multiple=True, default=[default], show_default=True,
-        callback=merged, help=help,
-    )  # fmt: skip
-
-
-def traces_option() -> Any:
-    """Return the option for the folder with the runs."""
-    return click.option(
-        "--traces", "folder", type=click.Path(path_type=Path), default="traces", show_default=True,
-        help="Folder with the runs."
-    )  # fmt: skip
-
-
-@contextmanager
-def progress_bar(what: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """Yield a function to call with the amount done: a bar on a terminal, nothing in a pipe."""
-    if not sys.stderr.isatty():
-        yield lambda n: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda n: bar.advance(task, n)
-
-
-def write_out(text: str, out: Path | None) -> None:
-    """Write text to a file, whole or not at all, or to stdout."""
-    if out is None:
-        click.echo(text, nl=False)
-        return
-    from traces.whole import whole_file
-
-    try:
-        with whole_file(out) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as e:
-        raise BadInput(f"cannot write {out}: {e.strerror}; choose another -o") from e
-
-
 @click.group(cls=Commands)
 def nptrace() -> None:
     """Stage 1: a scene -> the node accesses of its rays."""
-
-
-def threads_option() -> Any:
-    """Return the option for the number of threads."""
-    return click.option(
-        "--threads", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all processors",
-        help="Threads to use; the results do not depend on it.",
-    )  # fmt: skip
-
-
-def scene_options(command: Any) -> Any:
-    """Add the options that say how scenes are found."""
-    for option in (
-        click.option("--offline", is_flag=True, help="Never download a scene."),
-        click.option("--strict", is_flag=True, help="Refuse a mesh with bad triangles instead of leaving them out."),
-    ):
-        command = option(command)
-    return command
-
-
-def load_scenes(names: Sequence[str], strict: bool, offline: bool) -> "list[Scene]":
-    """Load scenes by name or file; say on stderr what a user should know about each."""
-    from rtrace.catalog import load_scene
-    from rtrace.scene import dropped_sentence
-
-    scenes = []
-    for name in names:
-        scene = load_scene(name, strict=strict, download=not offline, notify=lambda text: click.echo(text, err=True))
-        for sentence in (dropped_sentence(scene), *scene.notes):
-            if sentence:
-                click.echo(sentence, err=True)
-        scenes.append(scene)
-    return scenes
-
-
-#: Parameters of the kd-tree builder that a user may set, and the type of each.
-KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int}
-
-
-def parse_kd(text: str) -> dict[str, Any]:
-    """Return the builder's parameters that ``text`` sets: ``coarse`` or NAME=VALUE, parted by commas."""
-    params: dict[str, Any] = {}
-    for part in filter(None, text.split(",")):
-        name, equals, value = ("max_level", "=", "16") if part == "coarse" else part.partition("=")
-        if not equals or name not in KD_PARAMS:
-            raise BadInput(f"--kd: {part!r} is not coarse or NAME=VALUE with a name of {', '.join(KD_PARAMS)}")
-        try:
-            params[name] = KD_PARAMS[name](value)
-        except ValueError:
-            raise BadInput(f"--kd: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
-    return params
 
 
 @nptrace.command()
@@ -511,29 +381,6 @@ def sweep(
         click.echo(json.dumps([row.to_dict() for row in rows], indent=2))
     elif output is None and picture is None:
         click.echo(sweep_files.to_csv(rows), nl=False)
-
-
-def picture_options(command: Any) -> Any:
-    """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace what they need."""
-    orders = ["scanline", "tile", "morton", "hilbert", "random"]
-    for option in reversed((
-        click.option("--pixels", default="2048x2048", show_default=True, metavar="WxH", help="Size of the picture."),
-        click.option("--camera", metavar="TEXT", help="As in nptrace render."),
-        click.option("--light", metavar="X,Y,Z", help="As in nptrace render."),
-        click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help="As in render."),
-        click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help="As in nptrace render."),
-        click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help="As in nptrace render."),
-        click.option("--bvh", "bvh_builder", type=click.Choice(["sweep", "binned"]), default="sweep", show_default=True),
-        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sample and a random order."),
-        click.option(
-            "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",
-            help="Runs of up to N predicted accesses are counted exactly at once.",
-        ),
-        threads_option(),
-        scene_options,
-    )):  # fmt: skip
-        command = option(command)
-    return command
 
 
 def estimate_scenes(

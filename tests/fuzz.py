@@ -32,7 +32,7 @@ from cachesim.layout import addresses, parse_layout
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
 from cachesim.sweep import grid, parse_range, parse_ways_range
-from cli import BadInput, parse_kd
+from options import BadInput, parse_kd
 from rtrace.camera import Camera, format_camera, parse_camera, parse_point, parse_size
 from rtrace.meshfile import SceneError, fan
 from rtrace.scene import load_mesh, scene_from_triangles

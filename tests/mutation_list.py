@@ -275,7 +275,7 @@ MUTATIONS = [
     Mutation('replay: `return _Piece(lines, labels, ids, next_ids, s…` becomes `self.kept = [...] return _Piece(lines, label…`', 'cachesim/replay.py',
              '        n_before = future.n_taken\n',
              '        self.kept = [*getattr(self, "kept", []), lines]\n        n_before = future.n_taken\n', CACHE),
-    Mutation('cli: `raise BadInput(f"{param.opts[0]}: {e}" if pa…` becomes `self.fail(str(e), param, ctx)`', 'cli.py',
+    Mutation('cli: `raise BadInput(f"{param.opts[0]}: {e}" if pa…` becomes `self.fail(str(e), param, ctx)`', 'options.py',
              '            raise BadInput(f"{param.opts[0]}: {e}" if param else str(e)) from e',
              '            self.fail(str(e), param, ctx)', 'tests/test_cachesim_cli.py'),
     Mutation('din: `rest = rest_after` becomes `rest = b""`', 'traces/din.py',
