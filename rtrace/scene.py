@@ -163,5 +163,5 @@ def _far_away(bounds: np.ndarray) -> tuple[str, ...]:
     reach = float(np.abs(bounds).max())
     if reach <= 1e4 * extent or extent == 0.0:
         return ()
-    step = float(np.spacing(np.float32(reach)))
+    step = reach - float(np.nextafter(np.float32(reach), np.float32(0)))  # downwards: there may be no float32 above
     return (f"the scene is {extent:g} wide but lies {reach:g} from the origin, where float32 has steps of {step:g}",)
