@@ -84,6 +84,12 @@ def test_the_line_number_counts_all_chunks(tmp_path, monkeypatch):
         read(text_of(tmp_path, "0 1234\n" * 1000 + "1 10\n"))
 
 
+def test_a_control_character_is_no_label(tmp_path):
+    (tmp_path / "x.din").write_bytes(b"0 10\n\x1c\n")
+    with pytest.raises(DinError, match="line 2: label '.x1c' is not hexadecimal"):
+        list(din.DinTrace(tmp_path / "x.din").batches())
+
+
 @pytest.mark.parametrize("text", ["", " \n\n\t\n"])
 def test_an_empty_trace(tmp_path, text):
     with pytest.raises(DinError, match="holds no access"):

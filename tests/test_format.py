@@ -236,6 +236,19 @@ def test_cut_and_flipped_files_are_refused(tmp_path, name):
     assert refused > 50
 
 
+@pytest.mark.parametrize("name", ["accesses", "rays", "nodes"])
+def test_a_file_that_lost_its_first_bytes_is_refused(tmp_path, name):
+    """Its footer is whole, but no page is where the footer says; the reader of Parquet may end without an error."""
+    write(tmp_path / "run", 4000)
+    file = tmp_path / "run" / f"{name}.parquet"
+    whole = file.read_bytes()
+    for cut in (1, 2, 3, 4, 9):
+        file.write_bytes(whole[cut:])
+        with pytest.raises(RunError, match="damaged"):
+            run = open_run(tmp_path / "run")
+            list(run.batches()) if name == "accesses" else run.columns(name)
+
+
 def test_runs_are_found_by_name(tmp_path):
     for name in ("b", "a"):
         write(tmp_path / name)

@@ -219,6 +219,13 @@ def test_a_scene_may_be_seen_otherwise():
     assert seen_from(lit, None, None) == lit
 
 
+def test_the_largest_coordinates_are_far_away():
+    triangles = np.full((1, 3, 3), np.finfo(np.float32).max, np.float32)
+    triangles[0, 1:, 0] -= np.float32(2e31)
+    (note,) = scene_from_triangles(triangles, "edge").notes
+    assert "where float32 has steps of 2.02824e+31" in note
+
+
 @pytest.mark.parametrize("triangles", [np.zeros((3, 3)), np.zeros((0, 3, 3)), np.full((2, 3, 3), np.nan)])
 def test_triangles_that_make_no_scene_are_refused(triangles):
     with pytest.raises(SceneError, match="triangle"):

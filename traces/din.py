@@ -105,7 +105,7 @@ class DinTrace:
 def _explain(error: int, line: str) -> str:
     fields = line.split()
     if error == _BAD_LABEL:
-        label = fields[0]
+        label = fields[0] if fields else repr(line)  # a control character that Python takes for a blank
         known = "labels are 0 (read), 2 (instruction fetch), 3 (misc) and b (pre-fetch)"
         try:
             kind = {1: "a write, and nodes are read-only", 8: "DineroIV's end mark"}.get(int(label, 16), "unknown")

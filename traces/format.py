@@ -306,7 +306,7 @@ class Run:
     def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
         """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays."""
         try:
-            read = self._files[table].read(columns=names)
+            read = _all_rows(self._files[table].read(columns=names), self._files[table].metadata.num_rows)
         except _UNREADABLE as e:
             raise _damaged(self.path / f"{table}.parquet", e) from e
         return {name: read.column(name).to_numpy() for name in read.column_names}
@@ -318,6 +318,7 @@ class Run:
 
         def read(group: int) -> tuple[np.ndarray, ...]:
             table = file.read_row_group(group, columns=list(names), use_threads=False)
+            _all_rows(table, file.metadata.row_group(group).num_rows)
             return tuple(table.column(name).to_numpy() for name in names)
 
         with ThreadPoolExecutor(1) as pool:
@@ -394,6 +395,13 @@ def find_runs(folder: Path | str) -> list[Path]:
         return []
     found = (p for p in folder.iterdir() if p.is_dir() and not p.name.startswith((".", "_")))
     return sorted(p for p in found if any((p / name).exists() for name in FILES))
+
+
+def _all_rows(table: pa.Table, promised: int) -> pa.Table:
+    """Return the table; an OSError if rows are missing. Parquet readers end quietly where a page is not where it should be."""
+    if table.num_rows != promised:
+        raise OSError(f"{table.num_rows} of {promised} rows can be read")
+    return table
 
 
 def _damaged(path: Path, error: Exception) -> RunError:
