@@ -32,6 +32,9 @@ from cachesim.regression import estimate as extrapolate
 from cachesim.units import ACCESSES, PREFETCHES, RAYS, UnitCounts, UnitSource
 
 CONFIDENCE = 0.95
+#: Of each look at a sample. More than what is stated, because the first sample that looks good enough ends the search; how
+#: much more was measured (docs/speed-error.md).
+_OF_A_LOOK = 0.965
 #: Random rays for the prediction of the number of accesses.
 PROBES = 200
 #: Predicted accesses up to which the run is counted exactly: about a second and a half on two cores.
@@ -300,7 +303,7 @@ class Sampler:
 
     def _extrapolate(self, stage: Stage) -> tuple[Sample, Extrapolated]:
         sample = self._sample(stage)
-        return sample, extrapolate(sample, self._ratios, confidence=CONFIDENCE, seed=self._seed)
+        return sample, extrapolate(sample, self._ratios, confidence=_OF_A_LOOK, seed=self._seed)
 
     def _to_split(self, stage: Stage, found: Extrapolated, target: Target, widest: float) -> np.ndarray:
         """Return the strata whose cutting should bring every interval within the target, most useful first."""

@@ -204,12 +204,13 @@ def speed_error_about(cog) -> None:
     runs = {(row["scene"], row["tree"]) for row in rows}
     cog.outl(f"{len(runs)} runs (scenes x trees): {', '.join(sorted({scene for scene, _ in runs}))}.")
     large = [row for row in held if row["size"] == "2048" and row["median_share"]]
-    small = [row for row in held if row["size"] == "1024" and row["median_share"]]
+    smallest = min((row["size"] for row in held), key=int, default="")
+    small = [row for row in held if row["size"] == smallest and row["median_share"]]
     if large and small:
         shares = [100 * _median([float(row["median_share"]) for row in of]) for of in (large, small)]
         cog.outl(
             "\n**In one sentence**: filter first, which costs nothing; at 2048x2048 `--target-error 2%,0.05pp` then needs "
-            f"{shares[0]:.0f} % of the rays (median over scenes and trees; {shares[1]:.0f} % at 1024x1024, where the exact "
+            f"{shares[0]:.0f} % of the rays (median over runs; {shares[1]:.0f} % at {smallest}x{smallest}, where the exact "
             "run takes a moment anyway), and every figure it prints has its half-width."
         )
 
