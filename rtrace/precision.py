@@ -52,6 +52,13 @@ class Precision(NamedTuple):
         return math.sqrt(3.0) / self.least_steps if self.least_steps else math.inf
 
 
+def steps_at(values: np.ndarray | np.float32) -> np.ndarray:
+    """Return the distance of float32 numbers from their neighbours, float64 (np.spacing overflows at the largest)."""
+    wide = np.asarray(values, np.float64)
+    exponent = np.where(wide == 0.0, -125, np.frexp(wide)[1])
+    return np.ldexp(1.0, np.maximum(exponent - 24, -149))
+
+
 def measure(triangles: np.ndarray) -> Precision:
     """Return the precision of (n, 3, 3) float32 or float64 triangles, n >= 1, all finite in float32."""
     exact = np.asarray(triangles, np.float64)
@@ -59,12 +66,12 @@ def measure(triangles: np.ndarray) -> Precision:
     low, high = exact.min(axis=(0, 1)), exact.max(axis=(0, 1))
     reach = float(np.abs(exact).max())
     length = np.linalg.norm(exact - np.roll(exact, 1, axis=1), axis=2)
-    steps = np.spacing(np.abs(rounded).max(axis=(1, 2))).astype(np.float64)
+    steps = steps_at(np.abs(rounded).max(axis=(1, 2)))
     has_length = length > 0
     counted = np.where(has_length, length / steps[:, None], np.inf)
     is_lost = has_length & ~(rounded != np.roll(rounded, 1, axis=1)).any(axis=2)
     return Precision(
-        len(exact), float(np.max(high - low)), reach, float(np.spacing(np.float32(reach))), float(counted.min()),
+        len(exact), float(np.max(high - low)), reach, float(steps_at(np.float32(reach))), float(counted.min()),
         int((counted < LEAST_STEPS).any(axis=1).sum()), int(is_lost.any(axis=1).sum()),
     )  # fmt: skip
 

@@ -222,8 +222,9 @@ def test_a_scene_may_be_seen_otherwise():
 def test_the_largest_coordinates_are_far_away():
     triangles = np.full((1, 3, 3), np.finfo(np.float32).max, np.float32)
     triangles[0, 1:, 0] -= np.float32(2e31)
-    (note,) = scene_from_triangles(triangles, "edge").notes
-    assert "where float32 has steps of 2.02824e+31" in note
+    far, short = scene_from_triangles(triangles, "edge").notes
+    assert "where float32 has steps of 2.02824e+31" in far
+    assert "(the shortest: 1)" in short
 
 
 @pytest.mark.parametrize("triangles", [np.zeros((3, 3)), np.zeros((0, 3, 3)), np.full((2, 3, 3), np.nan)])
