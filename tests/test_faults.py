@@ -280,8 +280,9 @@ def test_a_read_only_folder_is_one_sentence_of_every_command(folder, monkeypatch
     for group, args, words in commands:
         result = CliRunner().invoke(group, args)
         assert (result.exit_code, result.stdout) == (2, ""), result.output
-        assert f"{words}: Permission denied" in result.stderr
-        assert len(result.stderr.splitlines()) == 1
+        *notes, error = result.stderr.splitlines()
+        assert f"{words}: Permission denied" in error
+        assert all("float32 vertices" in note for note in notes) and len(notes) <= 1  # render's word on its precision
         assert sorted(os.listdir(folder)) == before
 
 
