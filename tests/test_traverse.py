@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtrace.bvh import build_bvh
+from rtrace.intersect import margins
 from rtrace.kdtree import build_kdtree
 from rtrace.shapes import boxes, height_field, icosphere, soup
 from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
-from tests.traversal_reference import events_of, traverse
+from tests.traversal_reference import Seen, events_of, traverse
 
 BUILDERS = {
     "kdtree": build_kdtree,
@@ -204,6 +205,28 @@ def test_a_ray_exactly_the_margin_beside_a_plane(builder):
         origin = np.stack([np.full(50, x), rng.random(50), np.full(50, -2.0 * z)], axis=1)
         rays = make_rays(origin, np.resize([[0.0, 0.0, z], [-0.0, 0.01, z]], (50, 3)))
         hits_like_the_reference(BUILDERS[builder](triangles), rays)
+
+
+def test_margins_are_those_of_the_reference():
+    """Also where visits do not tell: a scene flat along an axis, a slope times a long way, an origin far off, both zeros."""
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        size = 10.0 ** rng.uniform(-6, 6, 3) * rng.choice([0.0, 1.0, 1.0, 1.0], 3)
+        at = rng.choice([0.0, 1.0, -1e4], 3)
+        triangles = (at + size * rng.random((4, 3, 3))).astype(np.float32)
+        tree = build_bvh(triangles)
+        origin = np.float64(np.float32(rng.choice([0.0, -2.0, 1e5], 3)))
+        direction = np.float64(np.float32(rng.choice([0.0, -0.0, 1.0, -1e-3, 1e6], 3)))
+        if not direction.any():
+            continue
+        seen = Seen(tree, origin.tolist(), direction.tolist())
+        *pads, doubt = margins(tree.bounds.reshape(-1), *origin, *direction, *seen.inverse)
+        signed = np.copysign(pads, seen.inverse)
+        assert (origin + signed).tolist() == seen.near and (origin - signed).tolist() == seen.far
+        reach = np.abs(tree.bounds - origin).max(axis=0)
+        z = int(np.argmax(np.abs(direction)))
+        across = [reach[k] + reach[z] * abs(seen.inverse[z]) * abs(direction[k]) for k in ((z + 1) % 3, (z + 2) % 3)]
+        assert doubt == 2.0**-50 * across[0] * across[1]
 
 
 def bundle(rng, n_triangles, n_rays):
