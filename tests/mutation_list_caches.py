@@ -55,12 +55,8 @@ MUTATIONS = [
     Mutation("BVH: the highest of equal costs is taken", BV, "        if cost < best:\n            best, position = cost, i + 1", "        if cost <= best:\n            best, position = cost, i + 1", BVH),
     Mutation("BVH: the z axis is never tried", BV, "    for k in range(3):\n        cost, position", "    for k in range(2):\n        cost, position", BVH),
     Mutation("BVH: the longest axis is the shortest", BV, "if dx >= dy and dx >= dz:", "if dx <= dy and dx <= dz:", BVH),
-    Mutation("BVH: leaves not sorted", BV, "sort(prims[start:end], count, scratch)", "sort(prims[start:end], 1, scratch)", BVH),
     Mutation("BVH: a child's box from its parent's triangles", BV, "_box_of(order, start, position, boxes, nodes, n_nodes)", "_box_of(order, start, end, boxes, nodes, n_nodes)", BVH),
     Mutation("BVH: the level of a right child is its parent's", BV, "n_nodes + 1, position, end, level + 1", "n_nodes + 1, position, end, level", BVH),
-    Mutation("BVH binned: the last bin's centroids are lost beyond it", BV, "return min(np.int64((x - low) * scale), N_BINS - 1)", "return np.int64((x - low) * scale)", BVH),
-    Mutation("BVH binned: bins keep the boxes of the node before", BV, "bins[j, c], bins[j, c + 3] = np.float32(np.inf), np.float32(-np.inf)", "pass", BVH),
-    Mutation("BVH binned: a cut that leaves one side empty", BV, "if n_left == 0 or n_left == end - start:", "if n_left == 0:", BVH),
     # --- sweep ---
     Mutation("sweep: the upper end of a range is left out", SW, "range(int(low), int(high) + 1)", "range(int(low), int(high))", f"{SWEEP} -k range"),
     Mutation("sweep: sizes outside the ranges", SW, "any(low <= size <= high for low, high in sizes)", "any(size <= high for low, high in sizes)", f"{SWEEP} -k grid"),
@@ -108,7 +104,6 @@ MUTATIONS = [
     Mutation("filter: the last line of any set is dropped", FI, "s = np.uint64(set_of(np.int64(line), n_sets, mask))", "s = np.uint64(set_of(np.int64(line), n_sets, mask)) // np.uint64(2)", f"{SWEEP} -k filter"),
     Mutation("filter: nothing is remembered", FI, "        newest[s] = tag\n", "", f"{SWEEP} -k filter"),
     Mutation("filter: a first use after a pre-fetch is dropped", FI, "        if keep_first_use and label >= PREFETCH:\n            tag ^= ONE", "        if keep_first_use and label >= PREFETCH:\n            tag ^= np.uint64(0)", f"{SWEEP} -k filter"),
-    Mutation("filter: pre-fetches dropped are counted as demand", FI, "self.n_dropped_demand += lines.size - int(n) - n_prefetches", "self.n_dropped_demand += lines.size - int(n)", f"{SWEEP} -k filter"),
     Mutation("filter: any number of sets is taken as exact", FI, "if config.n_sets % n_sets:", "if config.n_sets < n_sets:", f"{SWEEP} -k filter"),
     Mutation("filter: any line size is taken as exact", FI, "if config.line_bytes != line_bytes:", "if config.line_bytes < line_bytes:", f"{SWEEP} -k filter"),
     Mutation("filter: the largest common number of sets is the smallest", FI, "return gcd(*(config.n_sets for config in configs)) or 1", "return min(config.n_sets for config in configs)", f"{SWEEP} -k filter"),
@@ -125,7 +120,6 @@ MUTATIONS = [
     Mutation("opt: every batch begins the future anew", NU, "        self.n_taken += n\n        return self._next[self.n_taken - n : self.n_taken]", "        return self._next[:n]", OPT),
     Mutation("opt: the oldest of the unused lines stays", EX, "due = _LATE - start - i", "due = _LATE + start + i", OPT),
     Mutation("opt: the shadow does not know the future", EX, "            cache.shadow.due[line_id] = due\n", "            pass\n", OPT),
-    Mutation("opt: A is replayed with the future of B", RP, "self._demand.look_ahead(demand_only(lines, line_labels)[0])", "self._demand.look_ahead(lines)", OPT),
     Mutation("opt: pre-fetchers that react are accepted", RP, "        check_foreseeable(prefetch)\n", "", OPT),
     # --- whole files ---
     Mutation("files: written in place", "traces/whole.py", "temporary = path.with_name(f\".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}\")", "temporary = path", f"{SWEEP} -k whole"),

@@ -375,6 +375,7 @@ def test_the_3c_classification_refuses_a_filter_because_it_hides_which_lines_are
     ("call", "message"),
     [
         (lambda: check_exact(2, 32, [CacheConfig(64, 1, 16)]), "the line sizes must be equal; use one of 16 B"),
+        (lambda: check_exact(2, 16, [CacheConfig(128, 1, 32)]), "the line sizes must be equal; use one of 32 B"),
         (lambda: check_exact(0, 16, [CacheConfig(64, 1, 16)]), "at least 1; use filter_sets"),
         (
             lambda: check_exact(2, 16, [CacheConfig(64, 1, 16)], prefetch=parse_prefetch("next-line:miss")),
