@@ -4,6 +4,7 @@ Data goes to stdout, progress and warnings to stderr. A bad input exits 2 with o
 Heavy modules are imported inside the commands, so that ``--help`` is quick.
 """
 
+import gc
 import json
 import os
 import sys
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import compiling
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from options import (
     BadInput,
@@ -39,6 +41,10 @@ if TYPE_CHECKING:
 PREFETCH_HELP = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
 LAYOUT_HELP = "Where nodes lie: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
 FORMATS = ("table", "csv", "json", "markdown", "latex")
+
+gc.set_threshold(*compiling.GC_THRESHOLD)
+# Before NumPy is imported: no command multiplies large matrices, and OpenBLAS's idle threads spin for a tenth of a second.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @click.group(cls=Commands)

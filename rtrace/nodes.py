@@ -84,12 +84,18 @@ def _boxes(corners, lower, upper):
 
 
 @kernel
-def _parents_and_levels(child, meta, parent, level):
-    for i in range(child.size):
-        if meta[i] & 3 != LEAF:
-            for c in range(child[i], child[i] + 2):
-                parent[c] = i
-                level[c] = level[i] + 1
+def _node_columns(meta, words_per_node, is_kd, parent, level, axis, n_prims):
+    """Fill the columns of all nodes; children have higher numbers than their parents."""
+    parent[0], level[0] = -1, 0
+    for i in range(np.uint64(parent.size)):
+        word = meta[(i + np.uint64(1)) * words_per_node - np.uint64(1)]
+        is_leaf = word & np.uint32(3) == LEAF
+        axis[i] = word & np.uint32(3)
+        n_prims[i] = word >> np.uint32(2) if is_leaf else np.uint32(0)
+        if not is_leaf:
+            child = np.uint64(word >> np.uint32(2)) if is_kd else np.uint64(meta[i * words_per_node + np.uint64(6)])
+            for c in range(child, child + np.uint64(2)):
+                parent[c], level[c] = i, level[i] + np.uint16(1)
 
 
 def node_table(tree: Tree) -> dict[str, np.ndarray]:
@@ -100,24 +106,21 @@ def node_table(tree: Tree) -> dict[str, np.ndarray]:
     ``min_x`` ... ``max_z`` float32 (BVH).
     """
     nodes, n = tree.nodes, tree.nodes.size
-    meta = nodes["meta"].astype(np.int64)
-    is_leaf = (meta & 3) == LEAF
-    child = meta >> 2 if tree.kind == "kdtree" else nodes["child"].astype(np.int64)
-    parent = np.full(n, -1, np.int32)
-    level = np.zeros(n, np.uint16)
-    _parents_and_levels(child, meta, parent, level)
+    parent, level = np.empty(n, np.int32), np.empty(n, np.uint16)
+    axis, n_prims = np.empty(n, np.uint8), np.empty(n, np.uint32)
+    _node_columns(words(tree)[1], np.uint64(nodes.itemsize // 4), tree.kind == "kdtree", parent, level, axis, n_prims)
     table: dict[str, np.ndarray] = {
         "node": np.arange(n, dtype=np.uint32),
         "parent": parent,
         "level": level,
-        "axis": (meta & 3).astype(np.uint8),
-        "n_prims": np.where(is_leaf, meta >> 2, 0).astype(np.uint32),
-        "address": np.arange(n, dtype=np.uint64) * np.uint64(nodes.dtype.itemsize),
+        "axis": axis,
+        "n_prims": n_prims,
+        "address": np.arange(0, n * nodes.itemsize, nodes.itemsize, dtype=np.uint64),
     }
     if tree.kind == "kdtree":
-        table["split"] = np.where(is_leaf, np.float32(np.nan), nodes["split"])
+        table["split"] = np.where(axis == LEAF, np.float32(np.nan), nodes["split"])
     else:
-        for k, axis in enumerate("xyz"):
-            table[f"min_{axis}"] = np.ascontiguousarray(nodes["lower"][:, k])
-            table[f"max_{axis}"] = np.ascontiguousarray(nodes["upper"][:, k])
+        for k, name in enumerate("xyz"):
+            table[f"min_{name}"] = np.ascontiguousarray(nodes["lower"][:, k])
+            table[f"max_{name}"] = np.ascontiguousarray(nodes["upper"][:, k])
     return table

@@ -241,7 +241,8 @@ def test_memory_does_not_grow_with_the_trace(tmp_path, form, rows):
             paths[-1] = tmp_path / f"{name}.din"
             export_din(run, paths[-1], fmt=form)
     measure([paths[0]])  # compiles, which takes memory of its own
-    short, long = measure(paths)
+    # Threads overlap otherwise from one replay to the next, so the first does not yet show the peak of a short trace.
+    *_, short, long = measure([*paths[:1] * 3, paths[1]])
     assert long < short + 30, "MB"  # one uint32 for each access more would be 32 at least
     assert long < 300, "MB"
 

@@ -14,7 +14,8 @@ ROOT = Path(__file__).resolve().parent.parent
 SIGNATURES = """
 import sys, precompile
 from numba.core.dispatcher import Dispatcher
-precompile.compile_all()
+for part in precompile.PARTS:
+    part()
 for name, module in sorted(sys.modules.items()):
     if name.split(".")[0] in ("rtrace", "cachesim", "traces"):
         for kernel in vars(module).values():

@@ -32,7 +32,7 @@ import pyarrow.parquet as pq
 from traces.whole import is_alive
 
 FORMAT_VERSION = 1
-ROW_GROUP = 1 << 20  # rows: 5 MB of node and kind, which stays in a core's share of the last-level cache
+ROW_GROUP = 1 << 18  # rows: a page of one column is 1 MB at most
 METADATA_KEY = b"nptrace"
 
 #: The kinds of an access. 0-2 are the demand stream (the paper's configuration A); with 3 it is configuration B.
@@ -80,25 +80,19 @@ BOX = [_field(f"{end}_{axis}", pa.float32(), "BVH: the node's box") for axis in 
 
 FILES = ("accesses.parquet", "rays.parquet", "nodes.parquet", "image.png")
 
-# Measured: neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long
-# enough, and which a dictionary or a delta would hide from it. The usual 20,000 rows a page took twice the bytes; a
-# dictionary for `kind`, which Parquet stores as int32, took five times the time of its split bytes.
+# Measured: neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long enough, and which a
+# dictionary or a delta would hide from it; the usual 20,000 rows a page took twice the bytes. All other columns are smaller
+# and written faster with their bytes split, the numbers that only count up too.
 ENCODING: dict[str, Any] = {
     "compression": "zstd",
     "compression_level": 1,
     "use_dictionary": False,
     "data_page_size": 1 << 22,
     "max_rows_per_page": ROW_GROUP,
+    "write_batch_size": 1 << 16,
     "write_page_checksum": True,
 }
-COLUMN_ENCODING = {
-    "accesses": {"kind": "BYTE_STREAM_SPLIT"},
-    "rays": {"ray": "DELTA_BINARY_PACKED", "first": "DELTA_BINARY_PACKED", "type": "BYTE_STREAM_SPLIT"},
-    "nodes": {
-        **dict.fromkeys(("node", "address"), "DELTA_BINARY_PACKED"),
-        **dict.fromkeys(("parent", "level", "axis", "n_prims"), "BYTE_STREAM_SPLIT"),
-    },
-}
+PLAIN = ("node", "ray")  # in accesses.parquet
 
 
 #: What reading a damaged Parquet file raises.
@@ -116,18 +110,19 @@ class RunError(ValueError):
 class _Table:
     """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces handed over.
 
-    A thread of its own copies and compresses what is appended, so that the three files of a run are written at the same time
+    A thread of its own compresses what is appended, so that the three files of a run are written at the same time
     and the caller goes on; the arrays must not change until the run is whole.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self.schema = schema
         self.n_rows = 0
-        self._buffers = [np.empty(ROW_GROUP, field.type.to_pandas_dtype()) for field in schema]
-        self._filled = 0
+        self._pieces: deque[pa.Table] = deque()  # taken and not yet written: less than a row group
+        self._n_pending = 0
         self._thread = ThreadPoolExecutor(1)
         self._waiting: deque[Future[None]] = deque()
-        self._writer = pq.ParquetWriter(path, schema, column_encoding=COLUMN_ENCODING[path.stem], **ENCODING)
+        encoding = {name: "BYTE_STREAM_SPLIT" for name in schema.names if schema is not ACCESSES or name not in PLAIN}
+        self._writer = pq.ParquetWriter(path, schema, column_encoding=encoding, write_statistics=schema.names[:1], **ENCODING)
 
     def append(self, columns: Mapping[str, np.ndarray]) -> None:
         pieces = [columns[name] for name in self.schema.names]
@@ -141,28 +136,29 @@ class _Table:
             self._waiting.popleft().result()
 
     def _take(self, pieces: list[np.ndarray]) -> None:
-        n = pieces[0].shape[0]
-        start = 0
-        while start < n:
-            room = min(ROW_GROUP - self._filled, n - start)
-            for buffer, piece in zip(self._buffers, pieces, strict=True):
-                buffer[self._filled : self._filled + room] = piece[start : start + room]
-            self._filled += room
-            start += room
-            if self._filled == ROW_GROUP:
-                self._flush()
+        self._pieces.append(pa.Table.from_arrays([pa.array(piece) for piece in pieces], schema=self.schema))
+        self._n_pending += len(pieces[0])
+        while self._n_pending >= ROW_GROUP:
+            self._flush(ROW_GROUP)
 
-    def _flush(self) -> None:
-        arrays = [pa.array(buffer[: self._filled]) for buffer in self._buffers]
-        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self.schema), row_group_size=ROW_GROUP)
-        self._filled = 0
+    def _flush(self, n_rows: int) -> None:
+        """Write the next rows as a row group; the pieces are joined without copying them."""
+        group, n = [], n_rows
+        while n:
+            piece = self._pieces.popleft()
+            if len(piece) > n:
+                self._pieces.appendleft(piece.slice(n))
+            group.append(piece.slice(0, n))
+            n -= len(group[-1])
+        self._writer.write_table(pa.concat_tables(group), row_group_size=ROW_GROUP)
+        self._n_pending -= n_rows
 
     def close(self, metadata: bytes) -> None:
         """Write what is left, and the footer."""
         self._wait(0)
         self._thread.shutdown()
-        if self._filled:
-            self._flush()
+        if self._n_pending:
+            self._flush(self._n_pending)
         self._writer.add_key_value_metadata({METADATA_KEY: metadata})
         self._writer.close()
 
