@@ -1,4 +1,4 @@
-"""Compiling every kernel ahead of its first use, by doing each command's work on a tiny scene: in two processes, one a part."""
+"""Compiling every kernel ahead of its first use, by doing each command's work on a tiny scene; two processes share it."""
 
 import gc
 import multiprocessing
@@ -96,4 +96,5 @@ def _smallest_tree(scene: Scene, kind: str) -> Tree:
         nodes["lower"], nodes["upper"] = scene.bounds
         nodes["child"] = 1, 0, n
     prims = np.concatenate([np.arange(n, dtype=np.int32)] * 2)
-    return Tree(kind, nodes, prims, np.take(scene.triangles, prims, axis=0), scene.triangles, scene.bounds, 1, {"builder": "by hand"})
+    corners, params = np.take(scene.triangles, prims, axis=0), {"builder": "by hand"}
+    return Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, 1, params)
