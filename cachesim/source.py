@@ -98,14 +98,14 @@ class RunSource:
         self.n_rays: int | None = int(run.metadata["n_rays"])
         self.n_events: int | None = run.n_accesses
         self._is_kd, self._node_bytes = facts.tree == "kdtree", facts.node_bytes
-        self._nodes = run.columns("nodes", ["parent", "level", "n_prims"])
-        self._addresses = addresses(self._nodes, self._node_bytes, self.layout)
+        nodes = run.columns("nodes", ["level"] if self.layout.name == "stored" else ["level", "parent"])
+        self._addresses = addresses(nodes, self._node_bytes, self.layout)
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (node, label) batches, each a part of one row group."""
         unit = None
         if prefetch.kind == "stack":
-            unit = StackReplay(prefetch, self._is_kd, self._nodes["n_prims"], self._nodes["level"])
+            unit = StackReplay(prefetch, self._is_kd, **self.run.columns("nodes", ["n_prims", "level"]))
         for group_nodes, group_kinds in self.run.batches():
             highest = int(group_nodes.max(initial=0))
             if highest >= self._addresses.size:
@@ -132,7 +132,8 @@ class NodeLines:
     """The lines of every node, looked up by its number. A layout packs the nodes, so the lines are their own dense ids."""
 
     def __init__(self, address: np.ndarray, node_bytes: int, line_bytes: int, ahead: int) -> None:
-        first, last = address // line_bytes, (address + node_bytes - 1) // line_bytes
+        shift = line_bytes.bit_length() - 1  # lines are powers of two, and a division took ten times as long
+        first, last = address >> shift, (address + (node_bytes - 1)) >> shift
         lowest = int(first.min())  # numbering from it turns the sets round and changes no count
         self.n_ids = int(last.max()) - lowest + 1 + ahead
         if self.n_ids >= 1 << 31:

@@ -92,7 +92,11 @@ ENCODING: dict[str, Any] = {
     "write_batch_size": 1 << 16,
     "write_page_checksum": True,
 }
-PLAIN = ("node", "ray")  # in accesses.parquet
+
+
+def column_encoding(schema: pa.Schema) -> dict[str, str]:
+    """Return the columns whose bytes are split: all but the two that zstd has to see as they are."""
+    return {name: "BYTE_STREAM_SPLIT" for name in schema.names if schema is not ACCESSES or name == "kind"}
 
 
 #: What reading a damaged Parquet file raises.
@@ -121,8 +125,9 @@ class _Table:
         self._n_pending = 0
         self._thread = ThreadPoolExecutor(1)
         self._waiting: deque[Future[None]] = deque()
-        encoding = {name: "BYTE_STREAM_SPLIT" for name in schema.names if schema is not ACCESSES or name not in PLAIN}
-        self._writer = pq.ParquetWriter(path, schema, column_encoding=encoding, write_statistics=schema.names[:1], **ENCODING)
+        self._writer = pq.ParquetWriter(
+            path, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
+        )
 
     def append(self, columns: Mapping[str, np.ndarray]) -> None:
         pieces = [columns[name] for name in self.schema.names]

@@ -87,8 +87,8 @@ def bench_both(scene: Scene, tree: Tree, embree, primary: Rays, shadow: Rays, re
             rooms.room = Room()
         trace_recorded(tree, rays, any_hit=any_hit, room=rooms.room)
 
-    def ours():
-        with ThreadPoolExecutor(2) as pool:
+    def ours(threads=2):
+        with ThreadPoolExecutor(threads) as pool:
             list(pool.map(lambda r: one(r, False), pieces(primary)))
             list(pool.map(lambda r: one(r, True), pieces(shadow)))
 
@@ -96,8 +96,11 @@ def bench_both(scene: Scene, tree: Tree, embree, primary: Rays, shadow: Rays, re
         embree.run(primary.origin, primary.direction)
         embree.run(shadow.origin, shadow.direction, dists=far.copy(), query="OCCLUDED")
 
-    taken = times({"embree": theirs, "ours": ours}, repeat, time.perf_counter)
-    return {f"both {tree.kind} two threads / embree": ratio(taken["embree"], taken["ours"])}
+    taken = times({"embree": theirs, "ours": ours, "one thread": lambda: ours(1)}, repeat, time.perf_counter)
+    return {
+        f"both {tree.kind} two threads / embree": ratio(taken["embree"], taken["ours"]),
+        f"both {tree.kind} two threads / one": ratio(taken["one thread"], taken["ours"]),
+    }
 
 
 def bench_render(scene: Scene, tree: Tree, size: int, repeat: int) -> dict[str, float]:

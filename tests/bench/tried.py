@@ -12,7 +12,7 @@ from cachesim.replay import replay
 from cachesim.source import RunSource, look_up, tally
 from tests.bench.measure import ratio, times
 from tests.bench.stage2 import TABLE1
-from traces.format import ACCESSES, COLUMN_ENCODING, ENCODING, ROW_GROUP, Run
+from traces.format import ACCESSES, ENCODING, ROW_GROUP, Run, column_encoding
 
 
 def bench_tried(run: Run, repeat: int) -> dict[str, float]:
@@ -23,20 +23,21 @@ def bench_tried(run: Run, repeat: int) -> dict[str, float]:
 def _writing(run: Run, repeat: int) -> dict[str, float]:
     """Write the accesses as we do, and encoded or compressed otherwise."""
     columns = run.columns("accesses")
-    n = min(len(columns["node"]), 8 * ROW_GROUP)
+    n = min(len(columns["node"]), 32 * ROW_GROUP)
     table = pa.table([pa.array(columns[name][:n]) for name in ACCESSES.names], schema=ACCESSES)
     target = run.path.parent / "written.parquet"
-    encodings = COLUMN_ENCODING["accesses"]
+    encodings = column_encoding(ACCESSES)
 
     def written(encodings=encodings, **options):
-        return lambda: pq.write_table(
-            table, target, row_group_size=ROW_GROUP, **{**ENCODING, "column_encoding": encodings, **options}
-        )
+        chosen = {"row_group_size": ROW_GROUP, "write_statistics": ["ray"], **ENCODING, "column_encoding": encodings}
+        return lambda: pq.write_table(table, target, **{**chosen, **options})
 
     functions = {
         "accesses with zstd 3": written(compression_level=3),
         "accesses with LZ4": written(compression="lz4", compression_level=None),
         "pages of 20,000 rows": written(max_rows_per_page=20_000, data_page_size=1 << 20),
+        "row groups and pages of 2^20 rows": written(row_group_size=1 << 20, max_rows_per_page=1 << 20),
+        "values handed over 1024 at a time": written(write_batch_size=1024),
         "`kind` by a dictionary": written(None, use_dictionary=["kind"]),
         "`ray` as differences": written({**encodings, "ray": "DELTA_BINARY_PACKED"}),
         "`node` as differences": written({**encodings, "node": "DELTA_BINARY_PACKED"}),
@@ -98,6 +99,6 @@ def _batches(run: Run, repeat: int) -> dict[str, float]:
 
         return call
 
-    functions = {f"replay in batches of 2^{bits}: time": replay_with(1 << bits) for bits in (16, 20)}
+    functions = {f"replay in batches of 2^{bits}: time": replay_with(1 << bits) for bits in (14, 16)}
     taken = times({"ours": replay_with(source.BATCH), **functions}, repeat, time.process_time)
     return {name: ratio(taken[name], taken["ours"]) for name in functions}
