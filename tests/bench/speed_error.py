@@ -409,12 +409,26 @@ def draw(rows: list[dict[str, Any]]) -> None:
     points = points_of(rows)
     figure, axes = plt.subplots(figsize=(8, 5.5), layout="constrained")
     least = 0.05  # exact methods stand there: the axis is logarithmic
-    for method in dict.fromkeys(method for method, _ in points):
+    # Where a label stands: beside its point to the right, left, or below, so that neighbouring methods keep apart.
+    places = [((4, 4), "left", "bottom"), ((-4, 4), "right", "bottom"), ((3, -3), "left", "top")]
+    for i, method in enumerate(dict.fromkeys(method for method, _ in points)):
         of = {parameter: point for (name, parameter), point in points.items() if name == method}
         x, y = zip(*of.values(), strict=True)
         axes.plot(x, np.maximum(y, least), "o", label=method)
         for parameter, point in of.items():
-            axes.annotate(parameter, (point[0], max(point[1], least)), fontsize=6, xytext=(3, 3), textcoords="offset points")
+            is_exact = point[1] < least
+            offset, left, below = ((0, 6), "left", "bottom") if is_exact else places[i % 3]
+            axes.annotate(
+                parameter.partition(",")[0] if method == "another tree" else parameter,
+                (point[0], max(point[1], least)),
+                xytext=offset,
+                textcoords="offset points",
+                fontsize=6,
+                ha=left,
+                va=below,
+                rotation=60 if is_exact else 0,
+                rotation_mode="anchor",
+            )
     front = [points[key] for key in frontier(points)]
     axes.plot([p[0] for p in front], [max(p[1], least) for p in front], "-", color="0.6", zorder=0, label="Pareto front")
     axes.set(xscale="log", yscale="log", xlabel="speed-up over the filtered exact run", ylabel="largest error of Table I, %")
