@@ -32,7 +32,7 @@ from cachesim.config import CacheConfig
 from cachesim.exact import PREFETCH
 from cachesim.lru import set_mask, set_of
 from cachesim.prefetch import Prefetch
-from jit import kernel
+from jit import inlined, kernel
 
 ONE = np.uint64(1)
 _NONE = np.uint64(0xFFFFFFFFFFFFFFFF)  # no line: lines are below 2^32
@@ -127,29 +127,36 @@ def filtered(
         yield direct.accesses(lines, labels)
 
 
-@kernel
-def drop_repeats(lines, labels, n_sets, mask, newest, keep_first_use, kept, kept_labels):
-    """Copy the accesses that a filter keeps; return how many.
+@inlined
+def _is_kept(line, label, n_sets, mask, newest, keep_first_use):
+    """Return whether a filter keeps an access, which is then the newest of its set.
 
     ``newest`` is 2 * line per filter set, plus 1 unless ``keep_first_use`` waits for the line's first demand access.
     """
+    s = np.uint64(set_of(np.int64(line), n_sets, mask))
+    tag, before = (np.uint64(line) << ONE) | ONE, newest[s]
+    if before == tag:
+        return False
+    if keep_first_use and label >= PREFETCH:
+        tag ^= ONE
+        if before == tag:
+            return False
+    newest[s] = tag
+    return True
+
+
+@kernel
+def drop_repeats(lines, labels, n_sets, mask, newest, keep_first_use, kept, kept_labels):
+    """Copy the accesses that a filter keeps; return how many."""
     n = np.uint64(0)
     for i in range(lines.size):
         line, label = lines[i], labels[i]
-        s = np.uint64(set_of(np.int64(line), n_sets, mask))
-        tag, before = (np.uint64(line) << ONE) | ONE, newest[s]
-        # Branches: copying always and advancing by 0 or 1 took 0.65 to 3.5 times the time (mean 1.4), as each access then
+        # A branch: copying always and advancing by 0 or 1 took 0.65 to 3.5 times the time (mean 1.4), as each access then
         # waits for the one before it in its set.
-        if before == tag:
-            continue
-        if keep_first_use and label >= PREFETCH:
-            tag ^= ONE
-            if before == tag:
-                continue
-        newest[s] = tag
-        kept[n] = line
-        kept_labels[n] = label
-        n += ONE
+        if _is_kept(line, label, n_sets, mask, newest, keep_first_use):
+            kept[n] = line
+            kept_labels[n] = label
+            n += ONE
     return n
 
 
@@ -160,16 +167,8 @@ def look_up_and_drop(table, rows, labels, n_sets, mask, newest, keep_first_use, 
     for i in range(rows.size):
         line, label = table[rows[i]], labels[i]
         totals[label] += 1
-        s = np.uint64(set_of(np.int64(line), n_sets, mask))
-        tag, before = (np.uint64(line) << ONE) | ONE, newest[s]
-        if before == tag:
-            continue
-        if keep_first_use and label >= PREFETCH:
-            tag ^= ONE
-            if before == tag:
-                continue
-        newest[s] = tag
-        kept[n] = line
-        kept_labels[n] = label
-        n += ONE
+        if _is_kept(line, label, n_sets, mask, newest, keep_first_use):
+            kept[n] = line
+            kept_labels[n] = label
+            n += ONE
     return n

@@ -68,6 +68,7 @@ class Workshop:
         if failed := self._test(tests):
             raise SystemExit(f"{failed} fails on the project as it is; mend it first")
         shutil.rmtree(self._whole, ignore_errors=True)
+        self._kernels.mkdir(exist_ok=True)  # there are tests without a kernel
         shutil.copytree(self._kernels, self._whole)
         self._seen.add(tests)
 

@@ -66,6 +66,17 @@ def test_everything_sampled_twice_is_exact():
     assert found.intervals[0].half == pytest.approx(0, abs=1e-12)
 
 
+def test_a_stratum_weighs_as_many_units_as_it_has():
+    """A fifth of the units of one stratum and a twentieth of another; units of a stratum are alike, so nothing is left to chance."""
+    edges, units = np.array([0, 100, 640]), np.concatenate([np.arange(0, 100, 5), np.arange(100, 640, 20)])
+    misses = np.where(units < 100, 10.0, 50.0)[:, None]
+    nothing, second = np.zeros_like(misses), np.arange(len(units))
+    sample = Sample(edges, units, np.full_like(misses, 1000.0), misses, nothing, second, misses, nothing)
+    found = estimate(sample, [RATE, TOTAL]).intervals
+    assert found[1].value == pytest.approx(100 * 10 + 540 * 50) and found[1].half == pytest.approx(0, abs=1e-6)
+    assert found[0].value == pytest.approx((100 * 10 + 540 * 50) / 640_000)
+
+
 @pytest.mark.parametrize(("cuts", "m", "second_share"), [(0, 32, 0.0), (1, 12, 0.25)])
 def test_intervals_hold_as_often_as_they_say(cuts, m, second_share):
     """400 samples at 95 %: fewer than 92.5 % hold in one of 50 such tests (binomial, 2.3 sigma), over 98 % in one of 300."""

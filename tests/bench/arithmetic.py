@@ -1,7 +1,7 @@
 """``python -m tests.bench.arithmetic [--quick]``: traversal in float32 and without margins, against ours in float64 with them.
 
-The variants are texts: rtrace/intersect.py and rtrace/traverse.py with the arithmetic or the margin replaced, compiled for the
-occasion. Camera rays, their shadow rays left out, and rays aimed at vertices and edges. Ours stands for the truth:
+The variants are texts: rtrace/lanes.py, intersect.py and traverse.py with the arithmetic or the margin replaced, compiled
+for the occasion. Camera rays, their shadow rays left out, and rays aimed at vertices and edges. Ours stands for the truth:
 it is brute force's answer, bit by bit. Written to docs/data/arithmetic.csv.
 """
 
@@ -32,12 +32,34 @@ from rtrace.verify import kappa
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "data" / "arithmetic.csv"
 #: Replacements (pattern, text) of each variant; every pattern has to occur, or the variant is not what it says.
-NO_MARGIN = (r"^PAD = .*$", "PAD = 0.0")
-IN_FLOAT32 = ((r"np\.float64\(", "np.float32("), (r"\b1\.0 / d", "np.float32(1.0) / d"))
+NO_MARGIN = ((r"^PAD = .*$", "PAD = 0.0"), (r"^ORIGIN_PAD = .*$", "ORIGIN_PAD = 0.0"))
+#: A constant in float64 would draw its product to float64 too.
+IN_FLOAT32 = (
+    (r"np\.float64\b", "np.float32"),
+    (r"\b1\.0 / d", "np.float32(1.0) / d"),
+    (r"return np\.nan", "return np.float32(np.nan)"),
+    (r"^HUGE = float\(", "HUGE = np.float32("),
+    (r"^LEAST_PAD = .*$", "LEAST_PAD = np.float32(1e-30)"),
+    (r"^DOUBT = .*$", "DOUBT = np.float32(2.0**-21)"),
+    (r"^THIN = .*$", "THIN = np.float32(2.0**-6)"),
+    (r"^_SPLITTER = .*$", "_SPLITTER = np.float32(2.0**12 + 1.0)"),
+    (r'name="Lanes"', 'name="Lanes32"'),
+    (r"ir\.DoubleType\(\)", "ir.FloatType()"),
+    (r"types\.float64", "types.float32"),
+    (r"builder\.fpext\((.*), _FOUR_DOUBLES\)", r"\1"),
+)
 VARIANTS: dict[str, tuple[tuple[str, str], ...]] = {
-    "float64, no margin": (NO_MARGIN,),
-    "float32, margin 2^-21": (*IN_FLOAT32, (r"^PAD = .*$", "PAD = 2.0**-21")),
-    "float32, no margin": (*IN_FLOAT32, NO_MARGIN),
+    "float64, no margin": NO_MARGIN,
+    "float32, margin 2^-21": (
+        *IN_FLOAT32,
+        (r"^PAD = .*$", "PAD = np.float32(2.0**-21)"),
+        (r"^ORIGIN_PAD = .*$", "ORIGIN_PAD = np.float32(2.0**-22)"),
+    ),
+    "float32, no margin": (
+        *IN_FLOAT32,
+        (r"^PAD = .*$", "PAD = np.float32(0.0)"),
+        (r"^ORIGIN_PAD = .*$", "ORIGIN_PAD = np.float32(0.0)"),
+    ),
 }
 
 
@@ -45,12 +67,13 @@ def variant(folder: Path, name: str, replacements: tuple[tuple[str, str], ...]) 
     """Return the traversal module with the replacements made."""
     stem = re.sub(r"\W", "_", name)
     n_made = dict.fromkeys(replacements, 0)
-    for module in ("intersect", "traverse"):
+    for module in ("lanes", "intersect", "traverse"):
         text = (ROOT / "rtrace" / f"{module}.py").read_text(encoding="utf-8")
         for pattern, replacement in replacements:
             text, n = re.subn(pattern, replacement, text, flags=re.MULTILINE)
             n_made[pattern, replacement] += n
-        text = text.replace("from rtrace.intersect import", f"from intersect_{stem} import")
+        for other in ("lanes", "intersect"):
+            text = text.replace(f"from rtrace.{other} import", f"from {other}_{stem} import")
         (folder / f"{module}_{stem}.py").write_text(text, encoding="utf-8")
     missing = [pattern for (pattern, _), n in n_made.items() if not n]
     if missing:

@@ -11,6 +11,7 @@ import csv
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ from cachesim.design import Design, weights
 from cachesim.estimate import QUANTITIES, Sampler, estimate, parse_target, ratios_of
 from cachesim.filter import DirectFilter, filter_sets
 from cachesim.hashed_lines import HashedDistances
-from cachesim.known import KnownReplay, count_known
+from cachesim.known import ALONE, KnownReplay, count_known
 from cachesim.layout import addresses
 from cachesim.levels import Levels
 from cachesim.lru import empty_tags, set_mask
@@ -153,18 +154,30 @@ def run_exactly(source: RayUnits, configs: list[CacheConfig]) -> Exact:
     return Exact(totals, lines, labels, whole, trace_s, replay_s, n)
 
 
+def unfiltered(lines: np.ndarray, labels: np.ndarray, configs: list[CacheConfig]) -> None:
+    """Replay with and without pre-fetches through every cache, each access."""
+    counts = np.zeros(2, np.int64)
+    for config in configs:
+        for stream in ((lines, labels), demand_only(lines, labels)):
+            tags = empty_tags(config.n_sets, config.ways)
+            count_known(*stream, config.n_sets, set_mask(config.n_sets), config.ways, tags, counts, counts)
+
+
+def in_hottest_tenth(lines: np.ndarray, labels: np.ndarray, n_classes: int, config: CacheConfig) -> float:
+    """Return the share, in per cent, of the misses without pre-fetching that a tenth of the sets has."""
+    order = np.argsort(lines % n_classes, kind="stable")
+    ends = np.searchsorted(lines[order] % n_classes, np.arange(n_classes + 1))
+    misses = [
+        KnownReplay([config], from_start=True).step(lines[order[a:b]], labels[order[a:b]]).misses[0, ALONE]
+        for a, b in pairwise(ends)
+    ]
+    return 100 * float(sum(sorted(misses)[-max(n_classes // 10, 1) :]) / sum(misses))
+
+
 def replays(rows: Rows, exact: Exact, configs: list[CacheConfig]) -> None:
     """Add the exact ways to replay, as timed on the piece."""
     lines, labels = exact.piece
     scale = exact.n / lines.size
-
-    counts = np.zeros(2, np.int64)
-
-    def unfiltered() -> None:
-        for config in configs:
-            for stream in ((lines, labels), demand_only(lines, labels)):
-                tags = empty_tags(config.n_sets, config.ways)
-                count_known(*stream, config.n_sets, set_mask(config.n_sets), config.ways, tags, counts, counts)
 
     def one_pass() -> None:
         demand = demand_only(lines, labels)
@@ -181,7 +194,7 @@ def replays(rows: Rows, exact: Exact, configs: list[CacheConfig]) -> None:
     none = {name: [0.0] for name in ("accesses_per_ray", *QUANTITIES)}
     for method, parameter, seconds in (
         ("exact", "filtered", filtered),
-        ("exact", "without the filter", scale * cpu(unfiltered)),
+        ("exact", "without the filter", scale * cpu(lambda: unfiltered(lines, labels, configs))),
         ("exact", "one-pass sweep", scale * cpu(one_pass)),
         ("exact", "sweep, one cache at a time", scale * cpu(single)),
     ):
@@ -200,6 +213,10 @@ def set_sampling(rows: Rows, exact: Exact, configs: list[CacheConfig], label: st
         return np.concatenate([exact.totals[:3], misses])
 
     truth = totals_of(lines, labels, 1)
+    about = {
+        "unfiltered_over_filtered": [scale * cpu(lambda: unfiltered(*exact.piece, configs), 1) / filtered],
+        "misses_in_hottest_tenth": [in_hottest_tenth(lines, labels, n_classes, config) for config in configs],
+    }
     for every in (2, 4, 8):
         errors = []
         for seed in range(n_seeds):
@@ -212,7 +229,7 @@ def set_sampling(rows: Rows, exact: Exact, configs: list[CacheConfig], label: st
 
         seconds = scale * cpu(thinned)
         gain = (exact.trace_s + filtered) / (exact.trace_s + seconds)
-        rows.add(f"set sampling, {label}", f"1/{every}", gain, collect(errors), filtered / seconds)
+        rows.add(f"set sampling, {label}", f"1/{every}", gain, collect(errors) | about, filtered / seconds)
 
 
 def hashed_lines(rows: Rows, exact: Exact, n_seeds: int) -> None:
