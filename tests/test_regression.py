@@ -67,7 +67,7 @@ def test_everything_sampled_twice_is_exact():
 
 
 def test_a_stratum_weighs_as_many_units_as_it_has():
-    """A fifth of the units of one stratum and a twentieth of another; units of a stratum are alike, so nothing is left to chance."""
+    """A fifth of one stratum is drawn and a twentieth of another; its units are alike, so nothing is left to chance."""
     edges, units = np.array([0, 100, 640]), np.concatenate([np.arange(0, 100, 5), np.arange(100, 640, 20)])
     misses = np.where(units < 100, 10.0, 50.0)[:, None]
     nothing, second = np.zeros_like(misses), np.arange(len(units))
