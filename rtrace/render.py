@@ -172,8 +172,9 @@ def render(
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
     n_rays = n_accesses = n_prefetches = n_shadow = n_hits = n_shadowed = 0
     with RunWriter(path, metadata(scene, tree, shooting, tool_version), fields) as run:
-        run.append("nodes", node_table(tree))
-        for chunk in chunks(tree, scene, shooting, threads):
+        for i, chunk in enumerate(chunks(tree, scene, shooting, threads)):
+            if i == 0:  # not sooner: now the threads have work meanwhile
+                run.append("nodes", node_table(tree))
             chunk.rays["ray"] += np.uint32(n_rays)
             chunk.rays["first"] += np.uint64(n_accesses)
             chunk.accesses["ray"] += np.uint32(n_rays)
