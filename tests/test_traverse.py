@@ -1,5 +1,7 @@
 """The traversal kernels against a slow reference (visits), brute force (hits), and themselves under exact transformations."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,7 @@ from rtrace.intersect import margins
 from rtrace.kdtree import build_kdtree
 from rtrace.shapes import boxes, height_field, icosphere, soup
 from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
-from tests.traversal_reference import Seen, events_of, traverse
+from tests.traversal_reference import Seen, events_of, traverse, triangle_hit
 
 BUILDERS = {
     "kdtree": build_kdtree,
@@ -253,3 +255,39 @@ def test_nearly_edge_on_triangles_equal_brute_force(seed):
         np.testing.assert_array_equal(hits.prim, truth.prim)
         np.testing.assert_array_equal(hits.t, truth.t)
         np.testing.assert_array_equal(shadow.prim >= 0, truth.prim >= 0)
+
+
+def test_signs_in_doubt_are_those_of_exact_arithmetic():
+    """Rays that cross an edge exactly, or miss it by one step of float32: what is computed often has the sign of rounding."""
+    rng = np.random.default_rng(3)
+    n_hits = n_misses = n_wrong = 0
+    while n_hits + n_misses < 4000:
+        d, e = rng.integers(-9, 10, (2, 3))
+        along, beside = rng.integers(1, 40, 2), (int(rng.integers(1, 9)), -int(rng.integers(1, 9)))
+        a, b = (along[k] * d + beside[k] * e for k in range(2))
+        corners = np.array([a, b, a + rng.integers(-40, 41, 3)], np.float32)
+        if rng.random() < 0.25:
+            corners[0, 0] = np.nextafter(corners[0, 0], np.float32(np.inf))
+        if not d.any() or len(np.unique(corners, axis=0)) < 3:
+            continue
+        ray = make_rays(np.zeros((1, 3)), d[None].astype(np.float32))
+        hits = trace_all(corners[None], ray)
+        expected = triangle_hit(corners.astype(float).tolist(), [0.0] * 3, d.astype(float).tolist())
+        expected = expected if expected is not None and expected >= 0.0 else None
+        assert (None if hits.prim[0] < 0 else hits.t[0]) == expected, (corners, d)
+        n_hits, n_misses = n_hits + (expected is not None), n_misses + (expected is None)
+        n_wrong += signs_differ(corners.astype(float).tolist(), d.astype(float).tolist())
+    assert n_hits > 500 and n_misses > 500 and n_wrong > 50
+
+
+def signs_differ(corners, direction):
+    """Return whether an edge function as computed has another sign than exactly, on the same sheared corners."""
+    kz = max(range(3), key=lambda k: abs(direction[k]))
+    kx, ky = (kz + 1) % 3, (kz + 2) % 3
+    scale = 1.0 / direction[kz]
+    x, y = ([p[k] - direction[k] * scale * p[kz] for p in corners] for k in (kx, ky))
+    for i, j in ((2, 1), (0, 2), (1, 0)):
+        computed, exactly = x[i] * y[j] - y[i] * x[j], Fraction(x[i]) * Fraction(y[j]) - Fraction(y[i]) * Fraction(x[j])
+        if (computed > 0) - (computed < 0) != (exactly > 0) - (exactly < 0):
+            return True
+    return False
