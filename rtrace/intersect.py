@@ -24,9 +24,6 @@ LEAST_PAD = 1e-100
 #: before any t to after any t, or never.
 HUGE = float(np.finfo(np.float64).max)
 
-#: An edge function is the difference of two products, each rounded by 2^-53 of itself: below this share of the largest
-#: products possible its sign may be that of the rounding.
-DOUBT = 2.0**-50
 #: A projected area below this share of the products it is the sum of: its edge functions are computed without cancellation.
 THIN = 2.0**-6
 
@@ -61,7 +58,7 @@ def shear(dx, dy, dz, ix, iy, iz):
 
 @inlined
 def margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz):
-    """Return (x, y, z, doubt): how far the culling tests are moved along each axis, and the ray's bound for ``triangle_t``.
+    """Return (x, y, z): how far the culling tests are moved along each axis.
 
     ``bounds[0:6]`` is the box of all triangles. Rounding moves a corner beside the ray by a share of its distance along that
     axis and of its distance along the ray, times the slope.
@@ -72,17 +69,14 @@ def margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz):
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         along = x * abs(ix)
-        wide, tall = y + along * ay, z + along * az
     elif ay >= az:
         along = y * abs(iy)
-        wide, tall = z + along * az, x + along * ax
     else:
         along = z * abs(iz)
-        wide, tall = x + along * ax, y + along * ay
     px = PAD * (x + along * ax) + ORIGIN_PAD * abs(ox) + LEAST_PAD
     py = PAD * (y + along * ay) + ORIGIN_PAD * abs(oy) + LEAST_PAD
     pz = PAD * (z + along * az) + ORIGIN_PAD * abs(oz) + LEAST_PAD
-    return px, py, pz, DOUBT * wide * tall
+    return px, py, pz
 
 
 @inlined
@@ -105,10 +99,10 @@ def difference(a, b, c, d):
 
 
 @kernel
-def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt):
+def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz):
     """Return the ray parameter at which the ray's line meets the triangle whose nine floats start at ``tri[v]``; NaN for none.
 
-    ``ox``, ``oy``, ``oz`` is the origin, its axes permuted by (kx, ky, kz); ``doubt`` is that of ``margins``.
+    ``ox``, ``oy``, ``oz`` is the origin, its axes permuted by (kx, ky, kz).
 
     Every edge function is computed from sheared vertices that neighbouring triangles share, and its sign is that of the exact
     value, which changes when the edge is walked the other way: no ray passes between two triangles with a common
@@ -121,16 +115,17 @@ def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt):
     u = cx * by - cy * bx
     v_ = ax * cy - ay * cx
     w = bx * ay - by * ax
+    # Rounding is monotone: the difference of two rounded products has the sign of the exact one or is 0, never the other.
     # Smallest and largest first, then one branch: three sign tests each mispredict, which took twice the time.
     low = u if u < v_ else v_
     low = w if w < low else low
     high = u if u > v_ else v_
     high = w if w > high else high
-    if low < -doubt and high > doubt:
+    if low < 0.0 and high > 0.0:
         return np.nan
     det = u + v_ + w
     size = abs(cx * by) + abs(cy * bx) + abs(ax * cy) + abs(ay * cx) + abs(bx * ay) + abs(by * ax)
-    if abs(det) <= THIN * size or min(abs(u), abs(v_), abs(w)) <= DOUBT * size:
+    if abs(det) <= THIN * size or min(abs(u), abs(v_), abs(w)) == 0.0:
         u, v_, w = difference(cx, by, cy, bx), difference(ax, cy, ay, cx), difference(bx, ay, by, ax)
         det = u + v_ + w
     if (min(u, v_, w) < 0.0 and max(u, v_, w) > 0.0) or det == 0.0:

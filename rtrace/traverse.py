@@ -69,14 +69,14 @@ class Hits(NamedTuple):
 
 
 @inlined
-def _closest_in_leaf(prims, first, n_prims, corners, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit):
+def _closest_in_leaf(prims, first, n_prims, corners, origin, ray, k, shear_, near_t, best, best_prim, any_hit):
     """Test the triangles of a leaf; return the better of (best, best_prim) and the best hit among them."""
     kx, ky, kz = k
     sx, sy, sz = shear_
     ox, oy, oz = np.float64(origin[ray + kx]), np.float64(origin[ray + ky]), np.float64(origin[ray + kz])
     for i in range(first, first + n_prims):
         c = prims[i]
-        t = triangle_t(corners, i * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt)
+        t = triangle_t(corners, i * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
         if t >= near_t and (t < best or (t == best and c < best_prim)):
             best, best_prim = t, c
             if any_hit:
@@ -145,7 +145,7 @@ def trace_bvh(
         # Bit k: the direction is negative along axis k, so the upper child of a node split there comes first.
         backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
         k, shear_ = shear(dx, dy, dz, ix, iy, iz)
-        px, py, pz, doubt = margins(nodes, ox, oy, oz, dx, dy, dz, ix, iy, iz)  # node 0 begins with the box of all triangles
+        px, py, pz = margins(nodes, ox, oy, oz, dx, dy, dz, ix, iy, iz)  # node 0 begins with the box of all triangles
         # The origin as seen from a box's lower and upper faces: so moved that they lie a margin farther out.
         from_lower, from_upper = pack(ox + px, oy + py, oz + pz), pack(ox - px, oy - py, oz - pz)
         scale = pack(ix, iy, iz)
@@ -182,7 +182,7 @@ def trace_bvh(
                     n_events = _request_deep_stack(stack, min(pp, sp), events, n_events + ONE)
                     pp = BOTTOM
                 best, best_prim = _closest_in_leaf(
-                    prims, child, m >> TWO, corners, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
+                    prims, child, m >> TWO, corners, origin, ray, k, shear_, near_t, best, best_prim, any_hit
                 )
                 if any_hit and best_prim != NO_PRIM:
                     break
@@ -227,7 +227,7 @@ def trace_kdtree(
         dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
         ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
         ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
-        px, py, pz, doubt = margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz)
+        px, py, pz = margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz)
         # Per axis: the inverse, and the origin as seen from a plane's near and far side, so moved that it lies a margin
         # farther out. A table: choosing among three variables at every node took a fifth more time.
         seen[ZERO], seen[ONE], seen[TWO] = ix, iy, iz
@@ -284,7 +284,7 @@ def trace_kdtree(
                         pp = ZERO
                 leaf = np.uint64(meta[b])
                 best, best_prim = _closest_in_leaf(
-                    prims, leaf, n_prims, corners, origin, ray, k, shear_, doubt, near_t, best, best_prim, any_hit
+                    prims, leaf, n_prims, corners, origin, ray, k, shear_, near_t, best, best_prim, any_hit
                 )
                 if any_hit and best_prim != NO_PRIM:
                     break
@@ -304,7 +304,7 @@ def trace_kdtree(
 
 
 @kernel
-def trace_brute(tri, bounds, origin, direction, t_min, t_max, prim, hit_t):
+def trace_brute(tri, origin, direction, t_min, t_max, prim, hit_t):
     """Closest hit against every triangle: the truth that both trees must reproduce bit by bit."""
     for ray in range(t_min.size):
         i = np.uint64(ray) * THREE
@@ -312,11 +312,9 @@ def trace_brute(tri, bounds, origin, direction, t_min, t_max, prim, hit_t):
         ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
         (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz, ix, iy, iz)
         ox, oy, oz = np.float64(origin[i + kx]), np.float64(origin[i + ky]), np.float64(origin[i + kz])
-        x, y, z = np.float64(origin[i]), np.float64(origin[i + ONE]), np.float64(origin[i + TWO])
-        doubt = margins(bounds, x, y, z, dx, dy, dz, ix, iy, iz)[3]
         best, best_prim = t_max[ray], NO_PRIM
         for c in range(tri.size // 9):
-            t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz, doubt)
+            t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
             if t >= t_min[ray] and (t < best or (t == best and c < best_prim)):
                 best, best_prim = t, np.int32(c)
         prim[ray] = best_prim if best_prim != NO_PRIM else -1
@@ -423,8 +421,6 @@ def trace_all(triangles: np.ndarray, rays: Rays) -> Hits:
     """Return the closest hits by testing every triangle."""
     n = len(rays.t_min)
     prim, t = np.empty(n, np.int32), np.empty(n, np.float64)
-    corners = triangles.reshape(-1, 3)
-    bounds = np.concatenate([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else np.zeros(6, np.float32)
     given = (rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max)
-    trace_brute(triangles.reshape(-1), bounds, *given, prim, t)
+    trace_brute(triangles.reshape(-1), *given, prim, t)
     return Hits(prim, t)

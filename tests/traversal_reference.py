@@ -11,7 +11,7 @@ import numpy as np
 
 READ, PUSH, LEAF, PREFETCH = 0, 1, 2, 3
 PAD, ORIGIN_PAD, LEAST_PAD, HUGE = 2.0**-44, 2.0**-50, 1e-100, 1.7976931348623157e308
-DOUBT, THIN = 2.0**-50, 2.0**-6
+THIN = 2.0**-6
 
 
 class PrefetchUnit:
@@ -57,7 +57,7 @@ def triangle_hit(corners, origin, direction):
     size = 0.0
     for a, b, c, d in pairs:
         size = size + abs(a * b) + abs(c * d)
-    if abs(u + v + w) <= THIN * size or min(abs(u), abs(v), abs(w)) <= DOUBT * size:
+    if abs(u + v + w) <= THIN * size or 0.0 in (u, v, w):
         u, v, w = (accurate_difference(*pair) for pair in pairs)
     # Signs as exact arithmetic on the sheared corners has them: the kernel must not differ, whatever it leaves out.
     exact = [Fraction(a) * Fraction(b) - Fraction(c) * Fraction(d) for a, b, c, d in pairs]

@@ -40,7 +40,6 @@ IN_FLOAT32 = (
     (r"return np\.nan", "return np.float32(np.nan)"),
     (r"^HUGE = float\(", "HUGE = np.float32("),
     (r"^LEAST_PAD = .*$", "LEAST_PAD = np.float32(1e-30)"),
-    (r"^DOUBT = .*$", "DOUBT = np.float32(2.0**-21)"),
     (r"^THIN = .*$", "THIN = np.float32(2.0**-6)"),
     (r"^_SPLITTER = .*$", "_SPLITTER = np.float32(2.0**12 + 1.0)"),
     (r'name="Lanes"', 'name="Lanes32"'),

@@ -11,7 +11,7 @@
 
 namespace {
 
-constexpr double kPad = 0x1p-44, kOriginPad = 0x1p-50, kLeastPad = 1e-100, kDoubt = 0x1p-50, kThin = 0x1p-6;
+constexpr double kPad = 0x1p-44, kOriginPad = 0x1p-50, kLeastPad = 1e-100, kThin = 0x1p-6;
 constexpr int32_t kNoPrim = std::numeric_limits<int32_t>::max();
 constexpr uint32_t kRead = 0, kPush = 1, kEnter = 2, kPrefetch = 3, kLeaf = 3;
 
@@ -33,7 +33,7 @@ double difference(double a, double b, double c, double d) {
 struct Ray {
     double o[3], d[3], inverse[3], near[3], far[3];
     int kx, ky, kz;
-    double sx, sy, sz, doubt;
+    double sx, sy, sz;
 
     Ray(const float* origin, const float* direction, const float* bounds) {
         double reach[3];
@@ -52,7 +52,6 @@ struct Ray {
         sy = d[ky] * sz;
         // Margins of the culling tests: see rtrace/intersect.py.
         const double along = reach[kz] * std::abs(sz);
-        doubt = kDoubt * (reach[kx] + along * std::abs(d[kx])) * (reach[ky] + along * std::abs(d[ky]));
         for (int k = 0; k < 3; ++k) {
             double pad = kPad * (reach[k] + along * std::abs(d[k])) + kOriginPad * std::abs(o[k]) + kLeastPad;
             if (inverse[k] < 0.0) pad = -pad;
@@ -69,11 +68,11 @@ struct Ray {
         const double bx = (v[3 + kx] - o[kx]) - sx * bz, by = (v[3 + ky] - o[ky]) - sy * bz;
         const double cx = (v[6 + kx] - o[kx]) - sx * cz, cy = (v[6 + ky] - o[ky]) - sy * cz;
         double u = cx * by - cy * bx, w = ax * cy - ay * cx, q = bx * ay - by * ax;
-        if (std::min(std::min(u, w), q) < -doubt && std::max(std::max(u, w), q) > doubt) return kNone;
+        if (std::min(std::min(u, w), q) < 0.0 && std::max(std::max(u, w), q) > 0.0) return kNone;
         double det = u + w + q;
         const double size = std::abs(cx * by) + std::abs(cy * bx) + std::abs(ax * cy) + std::abs(ay * cx) +
                             std::abs(bx * ay) + std::abs(by * ax);
-        if (std::abs(det) <= kThin * size || std::min({std::abs(u), std::abs(w), std::abs(q)}) <= kDoubt * size) {
+        if (std::abs(det) <= kThin * size || u == 0.0 || w == 0.0 || q == 0.0) {
             u = difference(cx, by, cy, bx);
             w = difference(ax, cy, ay, cx);
             q = difference(bx, ay, by, ax);
