@@ -47,7 +47,6 @@ MUTATIONS = [
     Mutation("clipping: corners on the plane are lost", CL, "if here * side >= 0.0:", "if here * side > 0.0:", KD),
     Mutation("clipping: the last edge is left open", CL, "        b = a + 3 if i + 1 < n else first\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", "        b = a + 3 if i + 1 < n else a\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", KD),
     Mutation("clipping: bounds outgrow those of the cell before", CL, "inner_lo, inner_hi = max(lo, _rank_below(lower)), min(hi, _rank_above(upper))", "inner_lo, inner_hi = _rank_below(lower), _rank_above(upper)", KD),
-    Mutation("clipping: the lower part reaches beyond the plane", CL, "lo, min(hi, split) if k == axis else hi, below", "lo, hi, below", KD),
     Mutation("clipping: parts bounded by corners alone", CL, "            _cross(points, a, b, axis, plane, end)\n            end += 3\n    for k in range(3):\n        below_lo", "            _cross(points, a, b, axis, plane, end)\n    for k in range(3):\n        below_lo", KD),
     # --- BVH ---
     Mutation("BVH: half the area leaves a face out", BV, "return dx * dy + dy * dz + dz * dx", "return dx * dy + dy * dz", BVH),
@@ -115,7 +114,7 @@ MUTATIONS = [
     Mutation("opt: the heap of every set is that of the first", LI, "    root = s * lists.ways\n    if lists.held", "    root = 0 * lists.ways\n    if lists.held", OPT),
     Mutation("opt: the place of a line that sinks is not noted", LI, "        lists.links[2 * (lists.n_sets + slots[slot])] = slot\n        slot = parent", "        slot = parent", OPT),
     Mutation("opt: next uses are lost when lines are added", LI, "    due[: lists.due.size] = lists.due\n", "", f"{OPT} -k room"),
-    Mutation("opt: the next use is that of the access before", NU, "next_use[last[line_id] - 1] = here", "next_use[last[line_id] - 1] = here - 1", OPT),
+    Mutation("opt: the next use is the access itself", NU, "next_use[last[line_id] - 1] = here", "next_use[last[line_id] - 1] = last[line_id]", OPT),
     Mutation("opt: a line not used again is kept", NU, "        next_use[here] = NO_MORE\n", "        next_use[here] = 0\n", OPT),
     Mutation("opt: every batch begins the future anew", NU, "        self.n_taken += n\n        return self._next[self.n_taken - n : self.n_taken]", "        return self._next[:n]", OPT),
     Mutation("opt: the oldest of the unused lines stays", EX, "due = _LATE - start - i", "due = _LATE + start + i", OPT),

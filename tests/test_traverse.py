@@ -68,6 +68,17 @@ def test_visits_equal_the_reference(scene, builder, any_hit):
     assert 10 < hits_like_the_reference(tree, rays, any_hit) < 150
 
 
+def test_more_than_eight_nodes_wait_at_a_leaf():
+    """A ray along a pile of triangles pushes at every level; requests are copied by eights."""
+    triangles = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], np.float32) + np.zeros((4096, 1, 1), np.float32)
+    triangles[:, :, 2] = np.arange(4096)[:, None]
+    tree = build_bvh(triangles)
+    rays = make_rays(np.array([[0.0, 0.0, -1.0], [0.1, -0.2, 4097.0]]), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
+    _, count, events = trace_recorded(tree, rays)
+    assert all((part & 3 == 3).sum() > 9 for part in np.split(events, np.cumsum(count)[:-1]))
+    assert hits_like_the_reference(tree, rays) == 2
+
+
 @given(triangle_lists, point, directions, st.booleans(), st.sampled_from(sorted(BUILDERS)))
 @settings(max_examples=300)
 def test_visits_and_hits_on_a_lattice(corners, origin, direction, any_hit, builder):
