@@ -44,8 +44,9 @@ def building_and_sweeping() -> None:
     scene = stand_in("blob", detail=0.1)
     for kind in TREES:
         tree = build_tree(scene.triangles, kind)
+        nodes = node_table(tree)
         for layout in ("bfs", "dfs", "veb", "treelet:256"):
-            addresses(node_table(tree), tree.nodes.itemsize, layout)
+            addresses(nodes, tree.nodes.itemsize, layout)
     build_tree(scene.triangles, "bvh", builder="binned")
     with tempfile.TemporaryDirectory() as name:
         trace = Path(name) / "reads.din"

@@ -32,7 +32,7 @@ import pyarrow.parquet as pq
 from traces.whole import is_alive
 
 FORMAT_VERSION = 1
-ROW_GROUP = 1 << 18  # rows: a page of one column is 1 MB at most
+ROW_GROUP = 1 << 18  # rows: a page, which is one column of them, is 2 MB at most
 METADATA_KEY = b"nptrace"
 
 #: The kinds of an access. 0-2 are the demand stream (the paper's configuration A); with 3 it is configuration B.
@@ -81,8 +81,8 @@ BOX = [_field(f"{end}_{axis}", pa.float32(), "BVH: the node's box") for axis in 
 FILES = ("accesses.parquet", "rays.parquet", "nodes.parquet", "image.png")
 
 # Measured: neighbouring rays repeat whole paths, which zstd finds in plain numbers if a page is long enough, and which a
-# dictionary or a delta would hide from it; the usual 20,000 rows a page took twice the bytes. All other columns are smaller
-# and written faster with their bytes split, the numbers that only count up too.
+# dictionary or a delta would hide from it; the usual 20,000 rows a page took twice the bytes. All other columns are
+# written faster than plain with their bytes split, and most are smaller; differences took longer.
 ENCODING: dict[str, Any] = {
     "compression": "zstd",
     "compression_level": 1,
