@@ -45,9 +45,11 @@ MUTATIONS = [
     Mutation("clipping: an edge is cut from whichever end comes first", CL, "    if points[a + axis] > plane:\n        a, b = b, a\n", "", KD),
     Mutation("clipping: the crossing point is not put on the plane", CL, "    points[out + axis] = plane\n", "", KD),
     Mutation("clipping: corners on the plane are lost", CL, "if here * side >= 0.0:", "if here * side > 0.0:", KD),
-    Mutation("clipping: the last edge is left open", CL, "        b = a + 3 if i + 1 < n else first\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", "        b = a + 3 if i + 1 < n else a\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", KD),
+    Mutation("clipping: the last edge is left open", CL, "        b = a + THREE if i + ONE < n else first\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", "        b = a + THREE if i + ONE < n else a\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", KD),
     Mutation("clipping: bounds outgrow those of the cell before", CL, "inner_lo, inner_hi = max(lo, _rank_below(lower)), min(hi, _rank_above(upper))", "inner_lo, inner_hi = _rank_below(lower), _rank_above(upper)", KD),
-    Mutation("clipping: parts bounded by corners alone", CL, "            _cross(points, a, b, axis, plane, end)\n            end += 3\n    for k in range(3):\n        below_lo", "            _cross(points, a, b, axis, plane, end)\n    for k in range(3):\n        below_lo", KD),
+    Mutation("clipping: parts bounded by corners alone", CL, "            _include(points, crossing, in_below)\n            _include(points, crossing, in_above)\n", "", KD),
+    Mutation("clipping: the upper part misses the crossing points", CL, "            _include(points, crossing, in_above)\n", "", KD),
+    Mutation("clipping: an upper bound is not widened", CL, "points[box + THREE + k] = max(points[box + THREE + k], x)", "points[box + THREE + k] = x", KD),
     # --- BVH ---
     Mutation("BVH: half the area leaves a face out", BV, "return dx * dy + dy * dz + dz * dx", "return dx * dy + dy * dz", BVH),
     Mutation("BVH: the right side's area one triangle short", BV, "right_area[i + 1] * (end - i - 1)", "right_area[i + 1] * (end - i - 2)", BVH),

@@ -20,11 +20,12 @@ import numpy as np
 
 from rtrace.catalog import load_scene
 from rtrace.render import Shooting, render
-from rtrace.shoot import primary_rays
+from rtrace.shoot import primary_rays, shadow_rays
+from rtrace.traverse import trace
 from rtrace.treecache import TREES, cached_tree
 from tests.bench.goals import ABSENT, GOALS, is_met
 from tests.bench.savings import bench_savings
-from tests.bench.stage1 import bench_scene, build_peer, pieces
+from tests.bench.stage1 import bench_scene, bench_several, build_peer, pieces
 from tests.bench.stage2 import bench_run, bench_start
 from tests.bench.tried import bench_tried
 from tests.bench.variants import bench_variants
@@ -96,7 +97,7 @@ def main() -> None:
     labels = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        peer = build_peer(folder)
+        peer, several = build_peer(folder), build_peer(folder, "several_rays")
         for scene_name in names:
             scene = load_scene(scene_name, notify=lambda text: print(text, file=sys.stderr), download=False)
             labels.append(scene.label)
@@ -104,11 +105,14 @@ def main() -> None:
             add(found, bench_scene(scene, size, repeat, peer))
             add(savings, bench_savings(scene, size, repeat))
             pixels = np.arange(size * size, dtype=np.uint32)
-            rays = pieces(primary_rays(scene.camera.frame(size, size), pixels, size))
+            primary = primary_rays(scene.camera.frame(size, size), pixels, size)
             for kind in TREES:
-                add(tried, bench_variants(cached_tree(scene, kind), rays, repeat))
-                path = folder / f"{scene_name}-{kind}"
-                render(scene, cached_tree(scene, kind), Shooting(size, size), path)
+                tree, path = cached_tree(scene, kind), folder / f"{scene_name}-{kind}"
+                shadow = shadow_rays(tree, primary, trace(tree, primary), scene.light)[0]
+                add(tried, bench_variants(tree, pieces(primary), repeat))
+                add(tried, bench_several(tree, primary, False, repeat, several))
+                add(tried, bench_several(tree, shadow, True, repeat, several))
+                render(scene, tree, Shooting(size, size), path)
                 add(found, bench_run(open_run(path), repeat))
                 add(tried, bench_tried(open_run(path), repeat))
     if not quick:

@@ -126,32 +126,70 @@ def bench_builds(scene: Scene, repeat: int) -> dict[str, float]:
     return {f"build {name} / embree": ratio(taken[name], taken["embree"]) for name in ("binned", "sweep", "kd")}
 
 
-def build_peer(folder: Path) -> ctypes.CDLL | None:
-    """Compile the C++ peer, or return None where there is no compiler."""
+def build_peer(folder: Path, name: str = "traverse") -> ctypes.CDLL | None:
+    """Compile a C++ peer, or return None where there is no compiler, or none for this processor."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         return None
-    library = folder / "traverse.so"
+    source, library = Path(__file__).with_name(f"{name}.cpp"), folder / f"{name}.so"
     flags = ["-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC"]
-    subprocess.run([compiler, *flags, str(Path(__file__).with_name("traverse.cpp")), "-o", str(library)], check=True)
-    peer = ctypes.CDLL(str(library))
-    for function in (peer.trace_bvh, peer.trace_kdtree):
-        function.restype = ctypes.c_int64
-    return peer
+    done = subprocess.run([compiler, *flags, str(source), "-o", str(library)], check=False)
+    return ctypes.CDLL(str(library)) if done.returncode == 0 else None
 
 
-def call_peer(peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray) -> np.ndarray:
-    """Trace a batch with the C++ peer into ``events`` and return those written, which must be ours."""
+def call_peer(
+    peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray, how: str = "trace"
+) -> np.ndarray:
+    """Trace a batch with a C++ peer into ``events`` and return those written, which must be ours."""
     n = len(rays.t_max)
     prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.empty(n, np.uint32)
     arrays: list = [*words(tree), tree.prims, tree.corners]
     if tree.kind == "kdtree":
         arrays.append(tree.bounds)
     inputs = [*arrays, tree.max_level, rays.origin, rays.direction, rays.t_min, rays.t_max, ctypes.c_int64(n), int(any_hit)]
-    call = peer.trace_bvh if tree.kind == "bvh" else peer.trace_kdtree
+    call = getattr(peer, f"{how}_{tree.kind}")
+    call.restype = ctypes.c_int64
     written = call(*map(_argument, [*inputs, prim, t, count, events]))
     return events[:written]
 
 
 def _argument(value):
     return ctypes.c_void_p(value.ctypes.data) if isinstance(value, np.ndarray) else value
+
+
+#: What several_rays.cpp does, and over what its time is given.
+_SEVERAL = {
+    "packets": ("packets of four rays, in C++ with AVX", "ours"),
+    "in_flight": ("four rays in flight, in C++, over one in C++", "one"),
+}
+
+
+def bench_several(tree: Tree, rays: Rays, any_hit: bool, repeat: int, peer: ctypes.CDLL | None) -> dict[str, float]:
+    """Return the time of tracing several rays at once over that of one at a time, both with the events in ray order.
+
+    Raises
+    ------
+    ValueError
+        The peer's events are not ours.
+    """
+    out: dict[str, float] = {}
+    if peer is None:
+        return out
+    cut, room, events = pieces(rays), Room(), np.empty(CHUNK * 2 * (tree.max_level + 200), np.uint32)
+    name = f"{'BVH' if tree.kind == 'bvh' else 'kd-tree'}, {'any' if any_hit else 'closest'} hit"
+    hows = [how for how in _SEVERAL if hasattr(peer, f"{how}_{tree.kind}")]
+    for how in hows:
+        for piece in cut:
+            ours = trace_recorded(tree, piece, any_hit=any_hit, room=room)[2]
+            if not np.array_equal(call_peer(peer, tree, piece, any_hit, events, how), ours):
+                raise ValueError(f"{name}: the events of {_SEVERAL[how][0]} are not ours")
+
+    def peers(how):
+        return lambda: [call_peer(peer, tree, piece, any_hit, events, how) for piece in cut]
+
+    functions = {"ours": lambda: [trace_recorded(tree, piece, any_hit=any_hit, room=room) for piece in cut]}
+    taken = times(functions | {"one": peers("trace")} | {how: peers(how) for how in hows}, repeat)
+    for how in hows:
+        what, over = _SEVERAL[how]
+        out[f"{name}: {what}: time"] = ratio(taken[how], taken[over])
+    return out
