@@ -92,7 +92,7 @@ def _include(points, a, box):
 
 @kernel
 def _write_bounds(points, box, lo, hi, out, at):
-    """Write the ranks of points[box] and points[box + 3], a lower and an upper bound, rounded outward and kept inside lo and hi.
+    """Write the ranks of points[box] and points[box + 3], a lower and an upper bound, rounded outward, kept inside lo and hi.
 
     Where nothing is left (by rounding: clipped to another cell, the triangle just reached this one) lo and hi stand.
     """

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +22,8 @@ from rtrace.shoot import Chunk, shoot
 from rtrace.treecache import cached_tree
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT, RunWriter
 
-CHUNK = 4096  # pixels: a few ms of work, so that threads end together, and a few MB of accesses
-AHEAD = 2  # chunks traced but not yet written, per thread
+CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
+AHEAD = 1  # chunks traced but not yet written, per thread
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,9 +173,8 @@ def render(
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
     n_rays = n_accesses = n_prefetches = n_shadow = n_hits = n_shadowed = 0
     with RunWriter(path, metadata(scene, tree, shooting, tool_version), fields) as run:
-        for i, chunk in enumerate(chunks(tree, scene, shooting, threads)):
-            if i == 0:  # not sooner: now the threads have work meanwhile
-                run.append("nodes", node_table(tree))
+        run.append("nodes", partial(node_table, tree))
+        for chunk in chunks(tree, scene, shooting, threads):
             chunk.rays["ray"] += np.uint32(n_rays)
             chunk.rays["first"] += np.uint64(n_accesses)
             chunk.accesses["ray"] += np.uint32(n_rays)
@@ -189,6 +189,7 @@ def render(
             # The shadow pass shades in full; the primary pass of "all primaries first" leaves every surface lit.
             picture[chunk.pixels] = chunk.colours
             progress(len(chunk.pixels))
+        run.complete()
         run.image(_png(picture.reshape(shooting.height, shooting.width, 3)))
     n_bytes = sum(file.stat().st_size for file in path.iterdir())
     return Summary(

@@ -19,7 +19,7 @@ import os
 import secrets
 import shutil
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -104,7 +104,10 @@ _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.Ar
 
 
 #: Pieces handed over and not yet taken, per file: a chunk of accesses is some MB.
-_AHEAD = 4
+_AHEAD = 2
+
+#: One array per column of a table, all of one length.
+Columns = Mapping[str, np.ndarray]
 
 
 class RunError(ValueError):
@@ -129,41 +132,44 @@ class _Table:
             path, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
         )
 
-    def append(self, columns: Mapping[str, np.ndarray]) -> None:
-        pieces = [columns[name] for name in self.schema.names]
-        self.n_rows += pieces[0].shape[0]
-        self._waiting.append(self._thread.submit(self._take, pieces))
-        self._wait(_AHEAD)
+    def append(self, columns: Columns | Callable[[], Columns]) -> None:
+        self._waiting.append(self._thread.submit(self._take, columns))
+        self.wait(_AHEAD)
 
-    def _wait(self, n_left: int) -> None:
+    def wait(self, n_left: int = 0) -> None:
         """Wait until at most ``n_left`` pieces are not taken yet; raise what went wrong."""
         while len(self._waiting) > n_left:
             self._waiting.popleft().result()
 
-    def _take(self, pieces: list[np.ndarray]) -> None:
-        self._pieces.append(pa.Table.from_arrays([pa.array(piece) for piece in pieces], schema=self.schema))
-        self._n_pending += len(pieces[0])
-        while self._n_pending >= ROW_GROUP:
-            self._flush(ROW_GROUP)
+    def _take(self, columns: Columns | Callable[[], Columns]) -> None:
+        if not isinstance(columns, Mapping):
+            columns = columns()
+        piece = pa.Table.from_arrays([pa.array(columns[name]) for name in self.schema.names], schema=self.schema)
+        self._pieces.append(piece)
+        self.n_rows += len(piece)
+        self._n_pending += len(piece)
+        self._write(ROW_GROUP)
 
-    def _flush(self, n_rows: int) -> None:
-        """Write the next rows as a row group; the pieces are joined without copying them."""
-        group, n = [], n_rows
-        while n:
-            piece = self._pieces.popleft()
-            if len(piece) > n:
-                self._pieces.appendleft(piece.slice(n))
-            group.append(piece.slice(0, n))
-            n -= len(group[-1])
-        self._writer.write_table(pa.concat_tables(group), row_group_size=ROW_GROUP)
-        self._n_pending -= n_rows
+    def _write(self, least: int) -> None:
+        """Write row groups while at least so many rows wait; the pieces are joined without copying them."""
+        while self._n_pending >= least:
+            group, n = [], min(self._n_pending, ROW_GROUP)
+            self._n_pending -= n
+            while n:
+                piece = self._pieces.popleft()
+                if len(piece) > n:
+                    self._pieces.appendleft(piece.slice(n))
+                group.append(piece.slice(0, n))
+                n -= len(group[-1])
+            self._writer.write_table(pa.concat_tables(group), row_group_size=ROW_GROUP)
+
+    def complete(self) -> None:
+        """Have what is left written; nothing more is appended."""
+        self._waiting.append(self._thread.submit(self._write, 1))
 
     def close(self, metadata: bytes) -> None:
-        """Write what is left, and the footer."""
-        self._wait(0)
+        """Write the footer, when all rows are written."""
         self._thread.shutdown()
-        if self._n_pending:
-            self._flush(self._n_pending)
         self._writer.add_key_value_metadata({METADATA_KEY: metadata})
         self._writer.close()
 
@@ -209,9 +215,14 @@ class RunWriter:
         self._tables["nodes"] = _Table(self._temp / "nodes.parquet", nodes)
         return self
 
-    def append(self, table: str, columns: Mapping[str, np.ndarray]) -> None:
-        """Append rows to ``accesses``, ``rays`` or ``nodes``: one array per column of the schema, all of one length."""
+    def append(self, table: str, columns: Columns | Callable[[], Columns]) -> None:
+        """Append rows to ``accesses``, ``rays`` or ``nodes``; a function that makes them is called by the file's thread."""
         self._tables[table].append(columns)
+
+    def complete(self) -> None:
+        """Have what is left of all rows written, while the caller goes on; for a caller with something else to do."""
+        for table in self._tables.values():
+            table.complete()
 
     def image(self, png: bytes) -> None:
         """Store the picture, and its sha256 in the footers: PNG readers tend to show what is left of a damaged one."""
@@ -233,6 +244,9 @@ class RunWriter:
             raise RunError(f"cannot write {self.path}: {exc}; nothing was kept") from exc
 
     def _commit(self) -> None:
+        self.complete()
+        for table in self._tables.values():
+            table.wait()
         counts = {f"n_{name}": table.n_rows for name, table in self._tables.items()}
         metadata = {"format_version": FORMAT_VERSION, **self._metadata, **counts}
         text = json.dumps(metadata, sort_keys=True).encode()

@@ -14,15 +14,13 @@ import numpy as np
 from rtrace.bvh import build_bvh
 from rtrace.kdtree import build_kdtree
 from rtrace.nodes import Tree, words
-from rtrace.render import Shooting, render
+from rtrace.render import CHUNK, Shooting, render
 from rtrace.scene import Scene
 from rtrace.shoot import primary_rays, shadow_rays
 from rtrace.traverse import Rays, Room, trace, trace_recorded
 from rtrace.verify import embree_scene
 from tests.bench.measure import ratio, times
 from traces.format import open_run
-
-CHUNK = 4096
 
 
 def pieces(rays: Rays) -> list[Rays]:
@@ -137,9 +135,7 @@ def build_peer(folder: Path, name: str = "traverse") -> ctypes.CDLL | None:
     return ctypes.CDLL(str(library)) if done.returncode == 0 else None
 
 
-def call_peer(
-    peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray, how: str = "trace"
-) -> np.ndarray:
+def call_peer(peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool, events: np.ndarray, how: str = "trace") -> np.ndarray:
     """Trace a batch with a C++ peer into ``events`` and return those written, which must be ours."""
     n = len(rays.t_max)
     prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.empty(n, np.uint32)
