@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba
 import numpy as np
 from numba.core import event
@@ -63,6 +64,10 @@ def _forget_old(folder: Path) -> None:
     for old in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[_KEPT_FOLDERS - 1 :]:
         shutil.rmtree(old, ignore_errors=True)
 
+
+# LLVM's loop strength reduction keeps a pointer into every array and moves them all in every turn of a loop: with it, tracing
+# cost a BVH's traversal 10 % instead of 6. An LLVM that does not know the option ignores it.
+llvm.set_option("nptrace", "-disable-lsr")
 
 CACHE_FOLDER = _cache_folder()
 _forget_old(CACHE_FOLDER)

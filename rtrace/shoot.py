@@ -13,7 +13,7 @@ import numpy as np
 from jit import kernel
 from rtrace.nodes import Tree
 from rtrace.traverse import Hits, Rays, Room, trace, trace_recorded
-from traces.format import PREFETCH, PRIMARY, SHADOW
+from traces.format import PREFETCH, PRIMARY, SHADOW, empty_column
 
 #: Shadow rays start this far from the surface, and end this far before the light, relative to the largest coordinate: four
 #: units in the last place of float32. No fixed distance is right at every scale (docs/correctness.md).
@@ -278,9 +278,9 @@ def shoot(
         sequence = sequence[sequence >= n]
     n_rays, total = len(sequence), len(events) + len(shadow_events)
     accesses: dict[str, np.ndarray] = {
-        "ray": np.empty(total, np.uint32),
-        "node": np.empty(total, np.uint32),
-        "kind": np.empty(total, np.uint8),
+        "ray": empty_column(total, np.uint32),
+        "node": empty_column(total, np.uint32),
+        "kind": empty_column(total, np.uint8),
     }
     n_prefetches = _accesses(sequence, n, count, events, shadow_count, shadow_events, *accesses.values())
     columns: dict[str, np.ndarray] = {

@@ -99,6 +99,15 @@ def column_encoding(schema: pa.Schema) -> dict[str, str]:
     return {name: "BYTE_STREAM_SPLIT" for name in schema.names if schema is not ACCESSES or name == "kind"}
 
 
+def empty_column(n: int, dtype: type[np.generic]) -> np.ndarray:
+    """Return n values not set yet, for columns that are handed over by the million.
+
+    They lie in Arrow's memory, which is used again once a row group is written. NumPy's would come fresh from the system, and
+    zeroing that took as long as filling it.
+    """
+    return np.frombuffer(pa.allocate_buffer(n * np.dtype(dtype).itemsize), dtype)
+
+
 #: What reading a damaged Parquet file raises.
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
