@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from cachesim.estimate import Estimated, Target
     from cachesim.text import Table
     from rtrace.scene import Scene
-    from traces.format import Run
+    from traces.reader import Run
 
 PREFETCH_HELP = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
 LAYOUT_HELP = "Where nodes lie: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
@@ -251,7 +251,7 @@ def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | Non
     dineroIV -informat d -l1-usize 8k -l1-ubsize 32 -l1-uassoc 2 < bunny-bvh.din
     """
     from traces.din import export_din
-    from traces.format import open_run
+    from traces.reader import open_run
 
     opened = open_run(run)
     target = output or Path(f"{opened.name}.{form}")
@@ -322,7 +322,7 @@ def replay(
 
 def default_sources(folder: Path) -> list[Path]:
     """Return the runs in a folder, at least one."""
-    from traces.format import find_runs
+    from traces.reader import find_runs
 
     found = find_runs(folder)
     if not found:
@@ -495,7 +495,7 @@ def table1(
 
     from cachesim import table1 as table
     from cachesim import table1_text
-    from traces.format import open_run
+    from traces.reader import open_run
 
     if error is not None:
         estimated_table1(error, pixels, seed, "json" if as_json else form, output)

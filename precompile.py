@@ -23,7 +23,7 @@ from rtrace.treecache import TREES, build_tree
 from rtrace.units import RayUnits
 from rtrace.verify import compare
 from traces.din import export_din
-from traces.format import open_run
+from traces.reader import open_run
 
 
 def compile_all() -> int:

@@ -34,7 +34,7 @@ from cachesim.layout import Layout
 from cachesim.nextuse import NextUse
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.source import RunSource, Source, demand_only, open_source
-from traces.format import Run
+from traces.reader import Run
 
 #: Sets of the smallest filter worth its time: with fewer it keeps most accesses.
 LEAST_FILTER = 16

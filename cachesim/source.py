@@ -13,7 +13,7 @@ from cachesim.layout import Layout, addresses, parse_layout
 from cachesim.prefetch import KIND_PREFETCH, REQUEST, Prefetch, StackReplay
 from jit import kernel
 from traces.din import DinTrace
-from traces.format import Run, open_run
+from traces.reader import Run, open_run
 
 #: Events handed on at a time: their arrays stay in a core's share of the last-level cache.
 BATCH = 1 << 18

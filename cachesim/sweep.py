@@ -29,7 +29,7 @@ from cachesim.levels import Levels
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.reuse import StackDistances, check_one_pass
 from cachesim.source import RunSource, Source, demand_only, open_source
-from traces.format import Run
+from traces.reader import Run
 
 #: Most numbers of ways in one range.
 MAX_RANGE = 4096

@@ -15,7 +15,7 @@ from cachesim.account import Result, ratio
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.source import read_footer
-from traces.format import Run
+from traces.reader import Run
 
 TREES = {"kdtree": "kd-tree", "bvh": "BVH"}
 SCENES = ("bunny", "conference", "sibenik", "sponza")

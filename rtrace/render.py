@@ -20,7 +20,8 @@ from rtrace.nodes import Tree, node_table
 from rtrace.scene import Scene
 from rtrace.shoot import Chunk, shoot
 from rtrace.treecache import cached_tree
-from traces.format import BOX, PRIMARY, SHADOW, SPLIT, RunWriter
+from traces.format import BOX, PRIMARY, SHADOW, SPLIT
+from traces.writer import RunWriter
 
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
 AHEAD = 1  # chunks traced but not yet written, per thread

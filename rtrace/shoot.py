@@ -13,7 +13,8 @@ import numpy as np
 from jit import kernel
 from rtrace.nodes import Tree
 from rtrace.traverse import Hits, Rays, Room, trace, trace_recorded
-from traces.format import PREFETCH, PRIMARY, SHADOW, empty_column
+from traces.format import PREFETCH, PRIMARY, SHADOW
+from traces.writer import empty_column
 
 #: Shadow rays start this far from the surface, and end this far before the light, relative to the largest coordinate: four
 #: units in the last place of float32. No fixed distance is right at every scale (docs/correctness.md).

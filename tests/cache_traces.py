@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.cache_reference import Unit
-from traces.format import BOX, SPLIT, RunWriter, open_run
+from traces.format import BOX, SPLIT
+from traces.reader import open_run
+from traces.writer import RunWriter
 
 
 @dataclass

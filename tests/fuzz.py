@@ -38,7 +38,8 @@ from rtrace.meshfile import SceneError, fan
 from rtrace.scene import load_mesh, scene_from_triangles
 from tests.cache_traces import make_trace, write
 from traces.din import DinTrace
-from traces.format import FILES, METADATA_KEY, open_run
+from traces.format import FILES, METADATA_KEY
+from traces.reader import open_run
 
 REFUSED = (ValueError, BadInput)
 

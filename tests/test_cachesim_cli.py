@@ -16,7 +16,7 @@ from cachesim.dinero import dinero_block
 from cachesim.replay import replay
 from tests.cache_traces import make_trace, write
 from traces.din import export_din
-from traces.format import find_runs, open_run
+from traces.reader import find_runs, open_run
 
 FIELDS = [
     "run", "size_bytes", "ways", "line_bytes", "policy", "prefetch", "layout", "demand_accesses", "demand_misses",

@@ -13,7 +13,7 @@ from rtrace.render import Shooting, render
 from rtrace.treecache import build_tree
 from rtrace.units import RayUnits, unit_of
 from tests.unit_sources import PREFETCH, READ, ArraySource, cyclic, independent, of_stack_distances
-from traces.format import open_run
+from traces.reader import open_run
 
 BOTH = Target(0.02, 0.0005)
 

@@ -10,7 +10,7 @@ from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.table1 import SCENES, caches
 from rtrace.procedural import stand_in
-from traces.format import open_run
+from traces.reader import open_run
 
 
 @pytest.fixture(autouse=True)

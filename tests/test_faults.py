@@ -13,7 +13,8 @@ from click.testing import CliRunner
 
 import cli
 from rtrace.shapes import soup
-from traces.format import FILES, RunError, find_runs, open_run
+from traces.format import FILES, RunError
+from traces.reader import find_runs, open_run
 from traces.whole import whole_file
 
 ROOT = Path(cli.__file__).resolve().parent
@@ -222,7 +223,8 @@ def test_a_cut_footer_is_said(folder):
 DROPPED = """
 import os, sys
 from pathlib import Path
-from traces.format import SPLIT, RunError, RunWriter
+from traces.format import SPLIT, RunError
+from traces.writer import RunWriter
 from traces.whole import whole_file
 if os.geteuid() == 0:
     os.setgid(65534)

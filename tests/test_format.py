@@ -10,7 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from traces import format as fmt
-from traces.format import SPLIT, RunError, RunWriter, find_runs, open_run
+from traces import writer
+from traces.format import SPLIT, RunError
+from traces.reader import find_runs, open_run
+from traces.writer import RunWriter
 
 
 def tables(n_accesses=5):
@@ -73,7 +76,7 @@ def test_what_is_written_is_read(tmp_path):
 
 
 def test_row_groups_and_bytes_do_not_depend_on_the_pieces(tmp_path, monkeypatch):
-    monkeypatch.setattr(fmt, "ROW_GROUP", 64)
+    monkeypatch.setattr(writer, "ROW_GROUP", 64)
     write(tmp_path / "one", 1000, pieces=1)
     write(tmp_path / "many", 1000, pieces=37)
     for name in fmt.FILES:
@@ -132,8 +135,8 @@ def test_runs_are_replaced_with_and_without_an_exchange_in_one_step(tmp_path, mo
         exchanged.append(can_exchange and real(a, b))
         return exchanged[-1]
 
-    real = fmt._exchange
-    monkeypatch.setattr(fmt, "_exchange", exchange)
+    real = writer._exchange
+    monkeypatch.setattr(writer, "_exchange", exchange)
     for seed in (1, 2, 3):
         write(tmp_path / "run", seed=seed)
         assert open_run(tmp_path / "run").metadata["seed"] == seed
@@ -143,7 +146,8 @@ def test_runs_are_replaced_with_and_without_an_exchange_in_one_step(tmp_path, mo
 
 def test_what_a_killed_writer_left_is_swept(tmp_path):
     code = (
-        "import os, signal; from pathlib import Path; from traces.format import *\n"
+        "import os, signal; from pathlib import Path\n"
+        "from traces.format import SPLIT; from traces.writer import RunWriter\n"
         f"with RunWriter(Path({str(tmp_path / 'run')!r}), {{}}, SPLIT): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code], check=False)

@@ -14,7 +14,8 @@ from click.testing import CliRunner
 
 import cli
 from rtrace.shapes import boxes, icosphere
-from traces.format import FILES, open_run
+from traces.format import FILES
+from traces.reader import open_run
 
 
 @pytest.fixture

@@ -22,7 +22,8 @@ from rtrace.traverse import make_rays, trace_recorded
 from rtrace.treecache import TREES, build_tree
 from tests import traversal_reference as reference
 from tests.cache_reference import derive
-from traces.format import LEAF, PREFETCH, open_run
+from traces.format import LEAF, PREFETCH
+from traces.reader import open_run
 
 BUDGETS = {
     "unlimited": (None, 0),

@@ -11,7 +11,8 @@ from rtrace.shoot import primary_rays, shadow_rays
 from rtrace.traverse import trace, trace_recorded
 from rtrace.treecache import build_tree
 from tests.traversal_reference import events_of
-from traces.format import FILES, LEAF, PREFETCH, PUSH, open_run
+from traces.format import FILES, LEAF, PREFETCH, PUSH
+from traces.reader import open_run
 
 TREES = ("kdtree", "bvh")
 

@@ -11,7 +11,7 @@ from cachesim.set_sampling import sample_sets
 from cachesim.source import RunSource
 from tests.cache_traces import make_trace, write
 from tests.unit_sources import cyclic, of_stack_distances
-from traces.format import open_run
+from traces.reader import open_run
 
 
 @pytest.fixture(scope="module", params=["bvh", "kdtree"])

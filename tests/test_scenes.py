@@ -18,7 +18,7 @@ from rtrace.treecache import TREES, build_tree
 from tests.test_bvh import sah_cost as bvh_cost
 from tests.test_kdtree import clipped
 from tests.traversal_reference import events_of, traverse
-from traces.format import open_run
+from traces.reader import open_run
 
 pytestmark = pytest.mark.scenes
 real = pytest.mark.skipif("NPTRACE_SCENES" not in os.environ, reason="figures of the real scenes; NPTRACE_SCENES is not set")

@@ -23,7 +23,7 @@ from cachesim.table1 import (
 )
 from cachesim.text import to_latex, to_markdown
 from tests.cache_traces import make_trace, write
-from traces.format import find_runs, open_run
+from traces.reader import find_runs, open_run
 
 PAPER = paper_table()
 GROUPS = [(tree, scene) for tree in ("kdtree", "bvh") for scene in SCENES]

@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from jit import kernel
-from traces.format import PREFETCH, Run
+from traces.format import PREFETCH
+from traces.reader import Run
 from traces.whole import whole_file
 
 LABELS = (0x0, 0x2, 0x3, 0xB)

@@ -29,7 +29,7 @@ from tests.bench.stage1 import bench_scene, bench_several, build_peer, pieces
 from tests.bench.stage2 import bench_run, bench_start
 from tests.bench.tried import bench_tried
 from tests.bench.variants import bench_variants
-from traces.format import open_run
+from traces.reader import open_run
 
 DATA = Path(__file__).resolve().parents[2] / "docs" / "data"
 SCENES = ("bunny", "conference", "sibenik", "sponza")

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from traces.format import open_run
+from traces.reader import open_run
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZES = (128, 256, 512, 1024, 2048, 4096)

@@ -20,7 +20,7 @@ from rtrace.shoot import primary_rays, shadow_rays
 from rtrace.traverse import Rays, Room, trace, trace_recorded
 from rtrace.verify import embree_scene
 from tests.bench.measure import ratio, times
-from traces.format import open_run
+from traces.reader import open_run
 
 
 def pieces(rays: Rays) -> list[Rays]:

@@ -16,7 +16,7 @@ from cachesim.replay import replay
 from cachesim.reuse import StackDistances
 from tests.bench.measure import ratio, times
 from traces.din import export_din
-from traces.format import Run
+from traces.reader import Run
 
 #: The four caches of Table I.
 TABLE1 = [CacheConfig(size, ways) for size in (8192, 16384) for ways in (1, 2)]

@@ -12,7 +12,8 @@ from cachesim.replay import replay
 from cachesim.source import RunSource, look_up, tally
 from tests.bench.measure import ratio, times
 from tests.bench.stage2 import TABLE1
-from traces.format import ACCESSES, ENCODING, ROW_GROUP, Run, column_encoding
+from traces.format import ACCESSES, ENCODING, ROW_GROUP, column_encoding
+from traces.reader import Run
 
 
 def bench_tried(run: Run, repeat: int) -> dict[str, float]:

@@ -1,0 +1,234 @@
+"""Columns of rays, accesses and nodes -> a run on disk, written by threads of its own, whole or not at all."""
+
+import ctypes
+import errno
+import hashlib
+import json
+import os
+import secrets
+import shutil
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from traces.format import (
+    ACCESSES,
+    ENCODING,
+    FILES,
+    FORMAT_VERSION,
+    METADATA_KEY,
+    NODES,
+    RAYS,
+    ROW_GROUP,
+    RunError,
+    column_encoding,
+)
+from traces.whole import is_alive
+
+#: Pieces handed over and not yet taken, per file: a chunk of accesses is some MB.
+_AHEAD = 2
+
+#: One array per column of a table, all of one length.
+Columns = Mapping[str, np.ndarray]
+
+
+def empty_column(n: int, dtype: type[np.generic]) -> np.ndarray:
+    """Return n values not set yet, for columns that are handed over by the million.
+
+    They lie in Arrow's memory, which is used again once a row group is written. NumPy's would come fresh from the system, and
+    zeroing that took as long as filling it.
+    """
+    return np.frombuffer(pa.allocate_buffer(n * np.dtype(dtype).itemsize), dtype)
+
+
+class _Table:
+    """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces handed over.
+
+    A thread of its own compresses what is appended, so that the three files of a run are written at the same time
+    and the caller goes on; the arrays must not change until the run is whole.
+    """
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self.schema = schema
+        self.n_rows = 0
+        self._pieces: deque[pa.Table] = deque()  # taken and not yet written: less than a row group
+        self._n_pending = 0
+        self._thread = ThreadPoolExecutor(1)
+        self._waiting: deque[Future[None]] = deque()
+        self._writer = pq.ParquetWriter(
+            path, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
+        )
+
+    def append(self, columns: Columns | Callable[[], Columns]) -> None:
+        self._waiting.append(self._thread.submit(self._take, columns))
+        self.wait(_AHEAD)
+
+    def wait(self, n_left: int = 0) -> None:
+        """Wait until at most ``n_left`` pieces are not taken yet; raise what went wrong."""
+        while len(self._waiting) > n_left:
+            self._waiting.popleft().result()
+
+    def _take(self, columns: Columns | Callable[[], Columns]) -> None:
+        if not isinstance(columns, Mapping):
+            columns = columns()
+        piece = pa.Table.from_arrays([pa.array(columns[name]) for name in self.schema.names], schema=self.schema)
+        self._pieces.append(piece)
+        self.n_rows += len(piece)
+        self._n_pending += len(piece)
+        self._write(ROW_GROUP)
+
+    def _write(self, least: int) -> None:
+        """Write row groups while at least so many rows wait; the pieces are joined without copying them."""
+        while self._n_pending >= least:
+            group, n = [], min(self._n_pending, ROW_GROUP)
+            self._n_pending -= n
+            while n:
+                piece = self._pieces.popleft()
+                if len(piece) > n:
+                    self._pieces.appendleft(piece.slice(n))
+                group.append(piece.slice(0, n))
+                n -= len(group[-1])
+            self._writer.write_table(pa.concat_tables(group), row_group_size=ROW_GROUP)
+
+    def complete(self) -> None:
+        """Have what is left written; nothing more is appended."""
+        self._waiting.append(self._thread.submit(self._write, 1))
+
+    def close(self, metadata: bytes) -> None:
+        """Write the footer, when all rows are written."""
+        self._thread.shutdown()
+        self._writer.add_key_value_metadata({METADATA_KEY: metadata})
+        self._writer.close()
+
+    def abandon(self) -> None:
+        """Close the file handle and ignore what it says: the file is about to be deleted."""
+        self._thread.shutdown(cancel_futures=True)
+        with suppress(OSError, pa.ArrowException):
+            self._writer.close()
+
+
+class RunWriter:
+    """Write one run; as a context manager the run appears whole at the end, or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The run's directory. An earlier run there is replaced at the end; any other directory is refused.
+    metadata : dict
+        JSON values for the footers: scene, camera, tree, order, command. The counts and the format version are added here.
+    node_fields : list of pyarrow.Field
+        ``SPLIT`` or ``BOX``: the columns of ``nodes.parquet`` that depend on the tree.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, Any], node_fields: list[pa.Field]) -> None:
+        self.path = Path(path)
+        self._metadata = dict(metadata)
+        self._node_fields = node_fields
+
+    def __enter__(self) -> "RunWriter":
+        if self.path.exists() and not _looks_like_run(self.path):
+            raise RunError(f"{self.path} exists and is not a run; choose another --out or remove it")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            _sweep(self.path)
+            self._temp = self.path.parent / f".{self.path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp"
+            self._temp.mkdir()
+        except OSError as e:
+            raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
+        self._tables: dict[str, _Table] = {}
+        for name, schema in (("accesses", ACCESSES), ("rays", RAYS)):
+            self._tables[name] = _Table(self._temp / f"{name}.parquet", schema)
+        nodes = pa.schema([*NODES, *self._node_fields])
+        self._tables["nodes"] = _Table(self._temp / "nodes.parquet", nodes)
+        return self
+
+    def append(self, table: str, columns: Columns | Callable[[], Columns]) -> None:
+        """Append rows to ``accesses``, ``rays`` or ``nodes``; a function that makes them is called by the file's thread."""
+        self._tables[table].append(columns)
+
+    def complete(self) -> None:
+        """Have what is left of all rows written, while the caller goes on; for a caller with something else to do."""
+        for table in self._tables.values():
+            table.complete()
+
+    def image(self, png: bytes) -> None:
+        """Store the picture, and its sha256 in the footers: PNG readers tend to show what is left of a damaged one."""
+        (self._temp / "image.png").write_bytes(png)
+        self._metadata["image_sha256"] = hashlib.sha256(png).hexdigest()
+
+    def __exit__(self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: object) -> None:
+        if exc_type is None:
+            try:
+                self._commit()
+                return
+            except BaseException as e:
+                self._discard()
+                if isinstance(e, OSError):
+                    raise RunError(f"cannot write {self.path}: {e}; nothing was kept") from e
+                raise
+        self._discard()
+        if isinstance(exc, OSError) and not isinstance(exc, RunError):
+            raise RunError(f"cannot write {self.path}: {exc}; nothing was kept") from exc
+
+    def _commit(self) -> None:
+        self.complete()
+        for table in self._tables.values():
+            table.wait()
+        counts = {f"n_{name}": table.n_rows for name, table in self._tables.items()}
+        metadata = {"format_version": FORMAT_VERSION, **self._metadata, **counts}
+        text = json.dumps(metadata, sort_keys=True).encode()
+        for table in self._tables.values():
+            table.close(text)
+        for _ in range(100):  # another render may put its run there, or take it away, between any two of these calls
+            try:
+                if not self.path.exists():
+                    self._temp.rename(self.path)
+                    return
+                if _exchange(self._temp, self.path):
+                    shutil.rmtree(self._temp, ignore_errors=True)  # now the earlier run
+                    return
+                old = self._temp.with_suffix(".old")
+                self.path.rename(old)
+                shutil.rmtree(old, ignore_errors=True)
+            except OSError as e:
+                if e.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOENT) or not self._temp.exists():
+                    raise
+        raise RunError(f"cannot replace {self.path}: other programs keep writing it; choose another --out")
+
+    def _discard(self) -> None:
+        for table in self._tables.values():
+            table.abandon()
+        shutil.rmtree(self._temp, ignore_errors=True)
+
+
+def _exchange(a: Path, b: Path) -> bool:
+    """Swap two directories in one step, so that there is a run at every moment; return False where that cannot be done."""
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name == "posix" else None
+    at_cwd, exchange = -100, 2
+    return renameat2 is not None and renameat2(at_cwd, os.fsencode(a), at_cwd, os.fsencode(b), exchange) == 0
+
+
+def _looks_like_run(path: Path) -> bool:
+    if not path.is_dir():
+        return False
+    names = {p.name for p in path.iterdir()}
+    return names <= set(FILES) and (not names or "accesses.parquet" in names)
+
+
+def _sweep(path: Path) -> None:
+    """Delete what killed processes left beside ``path``; put back a run that was moved aside when its writer was killed."""
+    for left in path.parent.glob(f".{path.name}.*-*"):
+        pid = left.name[len(path.name) + 2 :].partition("-")[0]
+        if left.suffix not in (".tmp", ".old") or not pid.isdigit() or is_alive(int(pid)):
+            continue
+        if left.suffix == ".old" and not path.exists():
+            left.rename(path)
+        else:
+            shutil.rmtree(left, ignore_errors=True)
