@@ -25,7 +25,8 @@ from rtrace.traverse import trace
 from rtrace.treecache import TREES, cached_tree
 from tests.bench.goals import ABSENT, GOALS, is_met
 from tests.bench.savings import bench_savings
-from tests.bench.stage1 import bench_scene, bench_several, build_peer, pieces
+from tests.bench.several_rays import bench_several
+from tests.bench.stage1 import bench_scene, build_peer, pieces
 from tests.bench.stage2 import bench_run, bench_start
 from tests.bench.tried import bench_tried
 from tests.bench.variants import bench_variants

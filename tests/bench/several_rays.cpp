@@ -3,13 +3,26 @@
 //
 //   g++ -O3 -march=native -ffp-contract=off -shared -fPIC several_rays.cpp -o several_rays.so
 
-#include <immintrin.h>
-
-#include <cstdlib>
 #include <cstring>
 #include <memory>
 
 #include "traverse.cpp"
+
+namespace {
+
+constexpr int64_t kRoom = 1 << 16;  // events of one ray
+
+// Events of each ray in a slice of its own, which one at a time is copied behind those of the rays before it.
+struct Slices {
+    std::unique_ptr<uint32_t[]> room;
+    explicit Slices(int n) : room(new uint32_t[n * kRoom]) {}
+    uint32_t* of(int i) { return room.get() + i * kRoom; }
+};
+
+}  // namespace
+
+#ifdef __AVX__  // a processor without it has rays in flight only
+#include <immintrin.h>
 
 namespace {
 
@@ -23,15 +36,6 @@ Four least(Four a, Four b) { return a < b ? a : b; }
 Four most(Four a, Four b) { return a > b ? a : b; }
 Four size(Four a) { return a < 0.0 ? -a : a; }
 bool has(unsigned mask, int lane) { return mask >> lane & 1; }
-
-constexpr int64_t kRoom = 1 << 16;  // events of one ray
-
-// Events of each ray in a slice of its own, which one at a time is copied behind those of the rays before it.
-struct Slices {
-    std::unique_ptr<uint32_t[]> room;
-    explicit Slices(int n) : room(new uint32_t[n * kRoom]) {}
-    uint32_t* of(int i) { return room.get() + i * kRoom; }
-};
 
 // Four rays whose directions have the same signs and the same largest axis, so that they visit in the same order.
 struct Packet {
@@ -240,6 +244,8 @@ extern "C" int64_t packets_kdtree(const float* nodes, const uint32_t* meta, cons
     }
     return total;
 }
+
+#endif  // __AVX__
 
 // The BVH kernel with four rays in flight. The node that a ray visits next is asked for while the others take their turns.
 extern "C" int64_t in_flight_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners,
