@@ -6,6 +6,7 @@ docs/correctness.md. With words, only mutations that have one of them are tried,
 """
 
 import csv
+import importlib
 import os
 import shutil
 import subprocess
@@ -13,12 +14,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests import mutation_list, mutation_list_caches
 from tests.mutation_list import Mutation
 
-MUTATIONS = [*mutation_list.MUTATIONS, *mutation_list_caches.MUTATIONS]
-
 ROOT = Path(__file__).resolve().parent.parent
+#: Every file of mutations, ``tests/mutation_list*.py``, by name.
+_LISTS = sorted(path.stem for path in Path(__file__).parent.glob("mutation_list*.py"))
+MUTATIONS = [mutation for name in _LISTS for mutation in importlib.import_module(f"tests.{name}").MUTATIONS]
 
 
 class Workshop:
