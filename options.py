@@ -1,5 +1,6 @@
 """What the commands share: options, their types and their errors, progress on stderr, files that appear whole."""
 
+import errno
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -10,9 +11,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import compiling
+from traces.errors import NptraceError
 
 if TYPE_CHECKING:
     from rtrace.scene import Scene
+
+
+#: What a full disk says, whose error may not name a file: standard output has none.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class BadInput(click.ClickException):
@@ -22,7 +28,7 @@ class BadInput(click.ClickException):
 
 
 class Commands(click.Group):
-    """A group whose commands turn ValueError and OSError, both about inputs, into one sentence."""
+    """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run as a program: what takes long the first time is said."""
@@ -36,12 +42,17 @@ class Commands(click.Group):
             return super().invoke(ctx)
         except BrokenPipeError:
             raise  # the reader has enough; click ends quietly
-        except (ValueError, OSError, MemoryError) as e:
-            raise BadInput(str(e) or type(e).__name__) from e
+        except (NptraceError, MemoryError) as e:
+            raise BadInput(str(e) or "there is not enough memory") from e
+        except OSError as e:
+            if e.filename is None and e.errno not in _FULL:
+                raise
+            where = "the output" if e.filename is None else os.fsdecode(e.filename)
+            raise BadInput(f"{where}: {e.strerror}; make room, or name another file") from e
 
 
 class ListOf(click.ParamType):
-    """A comma-separated list; every item goes through a function that raises ValueError on a bad one."""
+    """A comma-separated list; every item goes through a function that raises NptraceError on a bad one."""
 
     def __init__(self, name: str, item: Any) -> None:
         self.name, self._item = name, item
@@ -52,7 +63,7 @@ class ListOf(click.ParamType):
             return value
         try:
             return [self._item(text) for text in value.split(",")]
-        except ValueError as e:
+        except NptraceError as e:
             raise BadInput(f"{param.opts[0]}: {e}" if param else str(e)) from e
 
 

@@ -3,6 +3,8 @@
 import re
 from dataclasses import dataclass
 
+from traces.errors import NptraceError
+
 POLICIES = ("lru", "fifo", "random", "opt")
 
 _UNITS = {"": 0, "K": 10, "M": 20, "G": 30}
@@ -12,7 +14,7 @@ def parse_bytes(text: str) -> int:
     """Return a byte size as papers write it: 512, 8K, 64KiB, 1M (powers of two)."""
     match = re.fullmatch(r"\s*(\d+)\s*(?:([KkMmGg])(?:i?B)?|B)?\s*", text)
     if match is None:
-        raise ValueError(f"{text!r} is not a size; write e.g. 512, 8K or 64KiB (K = 1024)")
+        raise NptraceError(f"{text!r} is not a size; write e.g. 512, 8K or 64KiB (K = 1024)")
     number, unit = match.groups(default="")
     return int(number) << _UNITS[unit.upper()]
 
@@ -32,7 +34,7 @@ def parse_ways(text: str, size_bytes: int, line_bytes: int) -> int:
     try:
         return int(text)
     except ValueError:
-        raise ValueError(f"{text!r} is not a number of ways; write 1, 2, 4 ... or full") from None
+        raise NptraceError(f"{text!r} is not a number of ways; write 1, 2, 4 ... or full") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,22 +66,22 @@ class CacheConfig:
     def __post_init__(self) -> None:
         line, ways, size = self.line_bytes, self.ways, self.size_bytes
         if line < 1 or line & (line - 1):
-            raise ValueError(f"a line of {line} B is not a power of two; write e.g. 32 or 64")
+            raise NptraceError(f"a line of {line} B is not a power of two; write e.g. 32 or 64")
         if ways < 1:
-            raise ValueError(f"{ways} ways: a cache has at least 1; write 1 for direct mapped, full for fully associative")
+            raise NptraceError(f"{ways} ways: a cache has at least 1; write 1 for direct mapped, full for fully associative")
         set_bytes = ways * line
         if size < 1 or size % set_bytes:
             below, above = size // set_bytes * set_bytes, (max(size, 0) // set_bytes + 1) * set_bytes
             near = f"{below} or {above}" if below > 0 else f"{above}"
-            raise ValueError(
+            raise NptraceError(
                 f"a size of {size} B is not a whole number of sets of {ways} x {line} B = {set_bytes} B; write e.g. {near}"
             )
         if size // line >= 1 << 31:
-            raise ValueError(f"a size of {size} B is {size // line} lines of {line} B; the limit is 2^31 - 1 lines")
+            raise NptraceError(f"a size of {size} B is {size // line} lines of {line} B; the limit is 2^31 - 1 lines")
         if self.policy not in POLICIES:
-            raise ValueError(f"{self.policy!r} is not a replacement policy; choose one of {', '.join(POLICIES)}")
+            raise NptraceError(f"{self.policy!r} is not a replacement policy; choose one of {', '.join(POLICIES)}")
         if not 0 <= self.seed < 1 << 64:
-            raise ValueError(f"a seed of {self.seed} does not fit; choose one from 0 to 2^64 - 1")
+            raise NptraceError(f"a seed of {self.seed} does not fit; choose one from 0 to 2^64 - 1")
 
     @property
     def n_sets(self) -> int:

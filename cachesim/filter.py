@@ -33,6 +33,7 @@ from cachesim.exact import PREFETCH
 from cachesim.lru import set_mask, set_of
 from cachesim.prefetch import Prefetch
 from jit import inlined, kernel
+from traces.errors import NptraceError
 
 ONE = np.uint64(1)
 _NONE = np.uint64(0xFFFFFFFFFFFFFFFF)  # no line: lines are below 2^32
@@ -48,22 +49,22 @@ def check_exact(
 ) -> None:
     """Raise a ValueError unless a filter of ``n_sets`` sets and ``line_bytes`` lines changes no count of these replays."""
     if n_sets < 1:
-        raise ValueError(f"a filter of {n_sets} sets: it must have at least 1; use filter_sets(configs)")
+        raise NptraceError(f"a filter of {n_sets} sets: it must have at least 1; use filter_sets(configs)")
     for config in configs:
         if config.line_bytes != line_bytes:
-            raise ValueError(
+            raise NptraceError(
                 f"a filter for lines of {line_bytes} B is not exact for {config}: the line sizes must be equal; "
                 f"use one of {config.line_bytes} B"
             )
         if config.n_sets % n_sets:
-            raise ValueError(
+            raise NptraceError(
                 f"a filter of {n_sets} sets is not exact for {config}: its {config.n_sets} sets are not a multiple; "
                 f"the most that is exact is {config.n_sets}"
             )
     if three_c and n_sets > 1:
-        raise ValueError(f"a filter of {n_sets} sets hides from the 3C classification which lines are old; use 1 set or none")
+        raise NptraceError(f"a filter of {n_sets} sets hides from the 3C classification which lines are old; use 1 or none")
     if prefetch is not None and prefetch.trigger:
-        raise ValueError(f"{prefetch} is triggered by accesses that a filter drops; replay without the filter")
+        raise NptraceError(f"{prefetch} is triggered by accesses that a filter drops; replay without the filter")
 
 
 class DirectFilter:

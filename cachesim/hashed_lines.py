@@ -12,6 +12,7 @@ from cachesim.prefetch import parse_prefetch
 from cachesim.reuse import StackDistances, check_one_pass
 from cachesim.source import Source, demand_only
 from jit import kernel
+from traces.errors import NptraceError
 
 #: Hashes are compared as 24-bit numbers.
 _HASHES = 1 << 24
@@ -30,7 +31,7 @@ class HashedDistances:
 
     def __init__(self, rate: float, seed: int = 0) -> None:
         if not 0.0 < rate <= 1.0:
-            raise ValueError(f"a rate of {rate} of the lines cannot be followed; take more than 0 and at most 1")
+            raise NptraceError(f"a rate of {rate} of the lines cannot be followed; take more than 0 and at most 1")
         self._threshold = max(round(rate * _HASHES), 1)
         self._rate = self._threshold / _HASHES
         # Far apart for neighbouring seeds: ids are dense, so a small offset would follow nearly the same lines.

@@ -23,6 +23,7 @@ from cachesim.filter import DirectFilter, filter_sets
 from cachesim.lru import empty_tags, set_mask, set_of
 from cachesim.source import demand_only
 from jit import kernel
+from traces.errors import NptraceError
 
 #: Columns of the counts of one cache: A (demand alone), B's demand accesses, B's pre-fetches.
 ALONE, DEMAND, REQUESTS = range(3)
@@ -49,12 +50,12 @@ def check_lru(configs: Sequence[CacheConfig]) -> None:
     """Raise a ValueError for caches that cannot be replayed from an unknown start, or not together."""
     for config in configs:
         if config.policy != "lru":
-            raise ValueError(
+            raise NptraceError(
                 f"{config} cannot be estimated: under {config.policy} what a cache held before decides for ever after; "
                 "estimate lru, or render the scene and use npcache replay"
             )
         if config.line_bytes != configs[0].line_bytes:
-            raise ValueError(f"{config} and {configs[0]} have different lines; estimate one line size at a time")
+            raise NptraceError(f"{config} and {configs[0]} have different lines; estimate one line size at a time")
 
 
 class KnownReplay:

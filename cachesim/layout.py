@@ -12,6 +12,7 @@ import numpy as np
 
 from cachesim.config import format_bytes, parse_bytes
 from jit import kernel
+from traces.errors import NptraceError
 
 #: The layouts, and what each does with nodes and sibling pairs.
 LAYOUTS = {
@@ -43,14 +44,14 @@ def parse_layout(text: str) -> Layout:
     name, colon, block = name.partition(":")
     known = ", ".join(LAYOUTS)
     if name not in {each.partition(":")[0] for each in LAYOUTS}:
-        raise ValueError(f"{text!r} is not a layout; choose one of {known}, and +BYTES to move it")
+        raise NptraceError(f"{text!r} is not a layout; choose one of {known}, and +BYTES to move it")
     if (name == "treelet") != bool(colon):
-        raise ValueError(f"{text!r} is not a layout: only treelet has a block, as in treelet:256")
+        raise NptraceError(f"{text!r} is not a layout: only treelet has a block, as in treelet:256")
     layout = Layout(name, parse_bytes(block) if colon else 0, parse_bytes(base) if plus else 0)
     if colon and layout.block_bytes < 1:
-        raise ValueError(f"{text!r}: a treelet of 0 B holds no node; write e.g. treelet:256")
+        raise NptraceError(f"{text!r}: a treelet of 0 B holds no node; write e.g. treelet:256")
     if layout.base >= 1 << 62:
-        raise ValueError(f"{text!r}: {base} is beyond the largest address, 2^62")
+        raise NptraceError(f"{text!r}: {base} is beyond the largest address, 2^62")
     return layout
 
 
@@ -86,7 +87,7 @@ def _parents(nodes: Mapping[str, np.ndarray]) -> np.ndarray:
     lower, upper = parents[1::2], parents[2::2]
     numbers = np.arange(1, parents.size, 2)
     if parents.size % 2 == 0 or (lower != upper).any() or (lower < 0).any() or (lower >= numbers).any():
-        raise ValueError("nodes.parquet is not a tree of sibling pairs (1, 2), (3, 4) ...; render the run again")
+        raise NptraceError("nodes.parquet is not a tree of sibling pairs (1, 2), (3, 4) ...; render the run again")
     return parents
 
 
@@ -111,7 +112,7 @@ def _pair_slots(parents: np.ndarray, node_bytes: int, layout: Layout) -> np.ndar
     else:
         pairs = layout.block_bytes // (2 * node_bytes)
         if pairs * 2 * node_bytes != layout.block_bytes:
-            raise ValueError(
+            raise NptraceError(
                 f"a treelet of {layout.block_bytes} B is not a whole number of pairs of {node_bytes}-byte nodes; "
                 f"write e.g. treelet:{max(pairs, 1) * 2 * node_bytes}"
             )

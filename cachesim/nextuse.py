@@ -7,6 +7,7 @@ Belady's replacement needs to know the future, so a trace is read twice: once fo
 import numpy as np
 
 from jit import kernel
+from traces.errors import NptraceError
 
 #: Most accesses of a stream whose future is kept, 4 GB.
 MAX_ACCESSES = 1 << 30
@@ -27,7 +28,7 @@ class NextUse:
         """Add accesses to lines with these ids (uint32, below ``n_ids``). Raises ValueError beyond MAX_ACCESSES."""
         end = self.n_added + ids.size
         if end > MAX_ACCESSES:
-            raise ValueError(
+            raise NptraceError(
                 f"opt keeps the next use of every access, and this trace has more than {MAX_ACCESSES:,}; render a smaller "
                 "picture, or use lru"
             )

@@ -13,6 +13,7 @@ import numpy as np
 
 from cachesim.exact import ALWAYS, MISC, NEVER, ON_MISS, PREFETCH, READ, TAGGED
 from jit import kernel
+from traces.errors import NptraceError
 
 # The kinds of a row of accesses.parquet (traces.format; numbers here because a kernel needs constants of its own).
 KIND_PUSH, KIND_LEAF, KIND_PREFETCH = 1, 2, 3
@@ -74,9 +75,9 @@ def parse_prefetch(text: str) -> Prefetch:
     if kind == "next-line" and 1 <= len(options) <= 2 and options[0] in _TRIGGERS:
         distance = options[1] if len(options) == 2 else "1"
         if re.fullmatch(r"[1-9]\d{0,5}", distance) is None:
-            raise ValueError(f"{text!r}: a distance is a number of lines from 1 to 999999, not {distance!r}")
+            raise NptraceError(f"{text!r}: a distance is a number of lines from 1 to 999999, not {distance!r}")
         return Prefetch(kind, trigger=_TRIGGERS[options[0]], distance=int(distance))
-    raise ValueError(f"{text!r} is not a pre-fetch policy; write {FORMS}")
+    raise NptraceError(f"{text!r} is not a pre-fetch policy; write {FORMS}")
 
 
 def _parse_stack(text: str, options: list[str]) -> Prefetch:
@@ -86,9 +87,9 @@ def _parse_stack(text: str, options: list[str]) -> Prefetch:
         if match:
             budgets.append((UNLIMITED if match[1] == "unlimited" else int(match[3]), match[2] is not None))
         elif option not in ("once", "empty"):
-            raise ValueError(f"{text!r}: {option!r} is not an option of stack; write {FORMS}")
+            raise NptraceError(f"{text!r}: {option!r} is not an option of stack; write {FORMS}")
     if len(budgets) > 1 or len(set(options)) < len(options):
-        raise ValueError(f"{text!r} says something twice; write {FORMS}")
+        raise NptraceError(f"{text!r} says something twice; write {FORMS}")
     budget, per_triangle = budgets[0] if budgets else (UNLIMITED, False)
     return Prefetch("stack", budget, per_triangle, "once" in options, "empty" in options)
 
@@ -131,7 +132,7 @@ class StackReplay:
                 policy.empty, self._stack, self._asked, self._state, out, labels,
             )  # fmt: skip
             if is_bad:
-                raise ValueError(
+                raise NptraceError(
                     f"node {nodes[start]} (row {start} of its row group) does not follow from the rows before it; "
                     "the trace and its tree do not belong together, render the run again"
                 )

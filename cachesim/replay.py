@@ -34,6 +34,7 @@ from cachesim.layout import Layout
 from cachesim.nextuse import NextUse
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.source import RunSource, Source, demand_only, open_source
+from traces.errors import NptraceError
 from traces.reader import Run
 
 #: Sets of the smallest filter worth its time: with fewer it keeps most accesses.
@@ -215,7 +216,7 @@ def _groups(source: Source, jobs: list[_Job], prefetch: Prefetch, *, is_filtered
 def check_foreseeable(prefetch: Prefetch) -> None:
     """Raise a ValueError for a pre-fetcher in the cache: what it requests is not known before the replay."""
     if prefetch.trigger:
-        raise ValueError(
+        raise NptraceError(
             f"opt has to know all accesses beforehand, and {prefetch} requests lines during the replay; use none, traced or "
             "stack:..., or another policy"
         )

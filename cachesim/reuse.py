@@ -21,6 +21,7 @@ from cachesim.layout import Layout
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.source import Source, demand_only, open_source
 from jit import kernel
+from traces.errors import NptraceError
 
 ZERO, ONE, TWO, SIX, TWELVE, SIXTY_THREE = (np.uint64(n) for n in (0, 1, 2, 6, 12, 63))
 ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -57,7 +58,7 @@ class StackDistances:
         """Grow to room for line ids below ``n_ids``."""
         n_slots = -(-min(_SLOTS_PER_LINE * n_ids, _MOST_SLOTS) // 4096) * 4096
         if n_slots < 2 * n_ids:
-            raise ValueError(f"{n_ids} lines are more than stack distances are counted for, 2^30; use longer lines")
+            raise NptraceError(f"{n_ids} lines are more than stack distances are counted for, 2^30; use longer lines")
         renumber(self._slot, self._live, self._in_group, self._to_group, self._state)
         counts, slot = np.zeros((n_ids + 1, 2), np.int64), np.zeros(n_ids, np.uint32)
         counts[: self.counts.shape[0]], slot[: self._slot.size] = self.counts, self._slot
@@ -113,7 +114,7 @@ def stack_distances(
 def check_one_pass(prefetch: Prefetch) -> None:
     """Raise a ValueError for a pre-fetcher that reacts to the cache: one pass cannot serve caches that behave differently."""
     if prefetch.trigger:
-        raise ValueError(
+        raise NptraceError(
             f"pre-fetch {prefetch} asks for other lines in every cache, so one pass cannot count for many caches; "
             "use none, traced or stack:..., or replay the caches one by one"
         )

@@ -21,6 +21,7 @@ from cachesim.reuse import check_one_pass
 from cachesim.source import Source
 from cachesim.sweep import Row
 from jit import kernel
+from traces.errors import NptraceError
 
 
 def sample_sets(
@@ -45,12 +46,12 @@ def sample_sets(
     check_one_pass(policy)
     n_classes = gcd(*(config.n_sets for config in configs))
     if every < 1 or n_classes % every:
-        raise ValueError(
+        raise NptraceError(
             f"one in {every} sets cannot be taken of caches whose numbers of sets have the common divisor {n_classes}; "
             f"take a divisor of {n_classes}"
         )
     if not 0 <= which < every:
-        raise ValueError(f"part {which} of {every} does not exist; take 0 to {every - 1}")
+        raise NptraceError(f"part {which} of {every} does not exist; take 0 to {every - 1}")
     is_taken = np.zeros(n_classes, np.bool_)
     is_taken[np.random.default_rng(seed).permutation(n_classes)[which::every]] = True
     lines_of, replay = source.lines(configs[0].line_bytes, 0), KnownReplay(configs, from_start=True)

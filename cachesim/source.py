@@ -13,6 +13,7 @@ from cachesim.layout import Layout, addresses, parse_layout
 from cachesim.prefetch import KIND_PREFETCH, REQUEST, Prefetch, StackReplay
 from jit import kernel
 from traces.din import DinTrace
+from traces.errors import NptraceError
 from traces.reader import Run, open_run
 
 #: Events handed on at a time: their arrays stay in a core's share of the last-level cache.
@@ -79,9 +80,9 @@ def read_footer(run: Run) -> Footer:
         tree, scene = run.metadata["tree"], run.metadata["scene"]
         footer = Footer(str(tree["kind"]), int(tree["node_bytes"]), str(scene["name"]).lower(), bool(scene["stand_in"]))
     except (KeyError, TypeError, ValueError) as e:
-        raise ValueError(f"{run.path} says too little about its tree and scene ({e} in its footer); render it again") from e
+        raise NptraceError(f"{run.path} says too little about its tree and scene ({e} in its footer); render it again") from e
     if footer.tree not in ("kdtree", "bvh") or footer.node_bytes < 1:
-        raise ValueError(
+        raise NptraceError(
             f"{run.path} is of a {footer.tree!r} of {footer.node_bytes}-byte nodes; only kdtree and bvh are known"
         )
     return footer
@@ -109,7 +110,7 @@ class RunSource:
         for group_nodes, group_kinds in self.run.batches():
             highest = int(group_nodes.max(initial=0))
             if highest >= self._addresses.size:
-                raise ValueError(
+                raise NptraceError(
                     f"{self.run.path} reads node {highest} of a tree of {self._addresses.size}; render the run again"
                 )
             for start in range(0, group_nodes.size, BATCH):
@@ -137,7 +138,7 @@ class NodeLines:
         lowest = int(first.min())  # numbering from it turns the sets round and changes no count
         self.n_ids = int(last.max()) - lowest + 1 + ahead
         if self.n_ids >= 1 << 31:
-            raise ValueError(f"the tree spans {self.n_ids} lines of {line_bytes} B; the limit is 2^31 - 1, use longer lines")
+            raise NptraceError(f"the tree spans {self.n_ids} lines of {line_bytes} B; the limit is 2^31 - 1, use longer lines")
         self._first = (first - lowest).astype(np.uint32)
         self._last = (last - lowest).astype(np.uint32) if (last != first).any() else None
 
@@ -169,14 +170,14 @@ class DinSource:
     def __init__(self, trace: DinTrace, layout: Layout | str = "stored") -> None:
         self.layout = parse_layout(layout) if isinstance(layout, str) else layout
         if self.layout != Layout("stored"):
-            raise ValueError(f"{trace.path} has addresses, not nodes, so it cannot be laid out as {self.layout}; use stored")
+            raise NptraceError(f"{trace.path} has addresses, not nodes, so it cannot be laid out as {self.layout}; use stored")
         self.trace = trace
         self.name = trace.path.name
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[tuple[np.ndarray, np.ndarray | int], np.ndarray]]:
         """Yield ((address, size), label) batches."""
         if prefetch.kind == "stack":
-            raise ValueError(
+            raise NptraceError(
                 f"{self.trace.path} has addresses, not pushes, so no stack can be rebuilt for {prefetch}; "
                 "use traced, none or next-line, or replay the run itself"
             )

@@ -29,6 +29,7 @@ from cachesim.levels import Levels
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.reuse import StackDistances, check_one_pass
 from cachesim.source import RunSource, Source, demand_only, open_source
+from traces.errors import NptraceError
 from traces.reader import Run
 
 #: Most numbers of ways in one range.
@@ -40,7 +41,7 @@ def parse_range(text: str) -> tuple[int, int]:
     low, dots, high = (part.strip() for part in text.partition(".."))
     sizes = parse_bytes(low), parse_bytes(high if dots else low)
     if sizes[0] > sizes[1]:
-        raise ValueError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
+        raise NptraceError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
     return sizes
 
 
@@ -52,11 +53,11 @@ def parse_ways_range(text: str) -> tuple[str, ...]:
     try:
         numbers = range(int(low), int(high) + 1)
     except ValueError:
-        raise ValueError(f"{text!r} is not a range of ways; write e.g. 1..16") from None
+        raise NptraceError(f"{text!r} is not a range of ways; write e.g. 1..16") from None
     if not numbers:
-        raise ValueError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
+        raise NptraceError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
     if numbers[-1] - numbers[0] >= MAX_RANGE:
-        raise ValueError(f"{text!r} names more than {MAX_RANGE} numbers of ways; write e.g. 1..16")
+        raise NptraceError(f"{text!r} names more than {MAX_RANGE} numbers of ways; write e.g. 1..16")
     return tuple(map(str, numbers))
 
 
@@ -79,7 +80,7 @@ def grid(sizes: Sequence[tuple[int, int]], ways: Sequence[str], line_bytes: Sequ
             configs += [CacheConfig(size, size // line if is_full else n_ways, line) for size in fitting]
     if not configs:
         said = ", ".join(format_bytes(low) + (f"..{format_bytes(high)}" if high > low else "") for low, high in sizes)
-        raise ValueError(
+        raise NptraceError(
             f"no cache of {said} with {', '.join(ways)} ways has a power of two as its number of sets (size = sets x ways x "
             "line); choose another size, e.g. 4K..64K"
         )
@@ -187,14 +188,16 @@ def sweep(
 def check(config: CacheConfig) -> None:
     """Raise a ValueError for a cache that one pass cannot count."""
     if config.policy != "lru":
-        raise ValueError(
+        raise NptraceError(
             f"{config} cannot be swept: one pass counts lru only, where a larger cache holds what a smaller one does; "
             "sweep lru, or use npcache replay"
         )
     if config.n_sets & (config.n_sets - 1):
-        raise ValueError(f"{config} has {config.n_sets} sets; a sweep takes powers of two, use npcache replay or another size")
+        raise NptraceError(
+            f"{config} has {config.n_sets} sets; a sweep takes powers of two, use npcache replay or another size"
+        )
     if config.line_bytes < 2:
-        raise ValueError(f"{config}: a sweep takes lines of 2 B and more")
+        raise NptraceError(f"{config}: a sweep takes lines of 2 B and more")
 
 
 class _Group:

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from cachesim.config import format_bytes
 from cachesim.sweep import Row
+from traces.errors import NptraceError
 from traces.whole import whole_file
 
 
@@ -41,12 +42,12 @@ def write(rows: Sequence[Row], path: Path) -> None:
 def _whole(path: Path, endings: set[str]) -> Iterator[Path]:
     """Yield a temporary name that becomes ``path`` if nothing is raised."""
     if path.suffix not in endings:
-        raise ValueError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
+        raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
     try:
         with whole_file(path) as temporary:
             yield temporary
     except OSError as e:
-        raise ValueError(f"cannot write {path}: {e.strerror or e}; choose another name") from e
+        raise NptraceError(f"cannot write {path}: {e.strerror or e}; choose another name") from e
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
@@ -60,7 +61,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             from matplotlib import rc_context
             from matplotlib.figure import Figure
         except ImportError:
-            raise ValueError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
+            raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
         with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 9}):
             runs = list(dict.fromkeys(map(_run_of, rows)))
             line_sizes = sorted({row.config.line_bytes for row in rows})

@@ -15,6 +15,7 @@ from cachesim.account import Result, ratio
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.source import read_footer
+from traces.errors import NptraceError
 from traces.reader import Run
 
 TREES = {"kdtree": "kd-tree", "bvh": "BVH"}
@@ -96,7 +97,7 @@ def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
         named = [run for run in candidates if run.name == f"{scene}-{tree}"] or candidates
         if len(named) > 1:
             names = " and ".join(str(run.path) for run in named)
-            raise ValueError(f"{names} are both {scene} as a {TREES[tree]}; keep one, or name one {scene}-{tree}")
+            raise NptraceError(f"{names} are both {scene} as a {TREES[tree]}; keep one, or name one {scene}-{tree}")
         chosen[tree, scene] = named[0]
     return chosen
 

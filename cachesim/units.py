@@ -20,6 +20,7 @@ from cachesim.known import Counts, KnownReplay, check_lru
 from cachesim.layout import addresses
 from cachesim.prefetch import KIND_PREFETCH, REQUEST
 from cachesim.source import NodeLines
+from traces.errors import NptraceError
 
 #: The short warm-up: so many positions, or twice, four times ... as many, until there were so many accesses for each line of
 #: the largest cache, but no more than a row.
@@ -105,7 +106,7 @@ class UnitCounts:
 
     def __init__(self, source: UnitSource, configs: Sequence[CacheConfig], threads: int | None = None) -> None:
         if not configs:
-            raise ValueError("no cache to estimate; name at least one, e.g. --size 8K --assoc 2")
+            raise NptraceError("no cache to estimate; name at least one, e.g. --size 8K --assoc 2")
         check_lru(configs)
         self._source, self._configs, self._threads = source, list(configs), threads or os.cpu_count() or 1
         self._enough = ACCESSES_PER_LINE * max(config.n_lines for config in configs)
@@ -271,7 +272,7 @@ class UnitCounts:
             with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
                 key = str(kept["key"])
                 if key != self._key():
-                    raise ValueError("it is of another scene, tree, picture or set of caches")
+                    raise NptraceError("it is of another scene, tree, picture or set of caches")
                 shape = (-1, len(self._configs), 3)
                 rows = zip(kept["units"], kept["counts"], kept["certain"], kept["open"], kept["before"], strict=True)
                 for unit, counts, certain, open_, before in rows:
@@ -283,7 +284,7 @@ class UnitCounts:
                     self._long[int(unit), int(warm)] = _Long(settled, bracket)
                 self.n_traced = int(kept["n_traced"])
         except (OSError, KeyError, EOFError, ValueError) as e:
-            raise ValueError(f"{path} cannot be resumed from: {e}; name another file or remove it") from e
+            raise NptraceError(f"{path} cannot be resumed from: {e}; name another file or remove it") from e
 
 
 def _joined(pieces: Sequence[tuple[np.ndarray, np.ndarray, int]]) -> tuple[np.ndarray, np.ndarray]:

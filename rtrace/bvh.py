@@ -10,6 +10,7 @@ from jit import kernel
 from rtrace import binned
 from rtrace.nodes import BVH_NODE, LEAF, Tree, triangle_boxes
 from rtrace.sorting import sort
+from traces.errors import NptraceError
 
 
 @kernel
@@ -170,7 +171,7 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     Manta's DynBVH (2012): costs 1 and 1, a pair is split along the longest axis, leaves list ascending numbers.
     """
     if triangles.dtype != np.float32 or triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not len(triangles):
-        raise ValueError(f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}")
+        raise NptraceError(f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}")
     n = len(triangles)
     triangles = np.ascontiguousarray(triangles)
     nodes, prims = np.zeros(2 * n, BVH_NODE), np.empty(n, np.int32)
@@ -186,7 +187,7 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
         binned.make_records(triangles.reshape(-1), records, records.view(np.uint32), box)
         n_nodes, max_level = binned.build_binned(records, records.view(np.uint32), box, flat, words, prims)
     else:
-        raise ValueError(f"builder must be 'sweep' or 'binned', got {builder!r}")
+        raise NptraceError(f"builder must be 'sweep' or 'binned', got {builder!r}")
     nodes = nodes[:n_nodes].copy()
     _sort_leaves(words, n_nodes, prims, np.empty(n, np.int32))
     bounds = np.stack([nodes["lower"][0], nodes["upper"][0]])

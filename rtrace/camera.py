@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from traces.errors import NptraceError
+
 #: Pixel orders that ``pixel_order`` knows.
 ORDERS = ("scanline", "tile", "morton", "hilbert", "random")
 
@@ -48,17 +50,17 @@ class Camera:
             object.__setattr__(self, name, _point(getattr(self, name), f"camera {name}"))
         object.__setattr__(self, "fov", float(self.fov))
         if not 0.0 < self.fov < 180.0:
-            raise ValueError(f"camera fov is {self.fov!r}, must be between 0 and 180 degrees; write e.g. fov=45")
+            raise NptraceError(f"camera fov is {self.fov!r}, must be between 0 and 180 degrees; write e.g. fov=45")
         if self.eye == self.look_at:
-            raise ValueError(f"camera eye and look_at are the same point {_text(self.eye)}; move one of them")
+            raise NptraceError(f"camera eye and look_at are the same point {_text(self.eye)}; move one of them")
         if not all(map(math.isfinite, np.subtract(self.look_at, self.eye))):
-            raise ValueError(f"camera eye {_text(self.eye)} and look_at {_text(self.look_at)} are too far apart for a float")
+            raise NptraceError(f"camera eye {_text(self.eye)} and look_at {_text(self.look_at)} are too far apart for a float")
         if self.up == (0.0, 0.0, 0.0):
-            raise ValueError("camera up is 0,0,0, must have a direction; write e.g. up=0,1,0")
+            raise NptraceError("camera up is 0,0,0, must have a direction; write e.g. up=0,1,0")
         view = _unit(np.subtract(self.look_at, self.eye))
         if math.hypot(*np.cross(view, _unit(self.up))) < _PARALLEL:
             other = "0,0,1" if abs(view[1]) > 0.5 else "0,1,0"
-            raise ValueError(
+            raise NptraceError(
                 f"camera up {_text(self.up)} is parallel to the view from {_text(self.eye)} to {_text(self.look_at)}; "
                 f"give another, e.g. up={other}"
             )
@@ -131,12 +133,12 @@ def parse_camera(text: str) -> Camera:
     for part in re.sub(r"\s*([,=])\s*", r"\1", text).replace(";", " ").split():
         key, equals, value = part.partition("=")
         if not equals or key not in ("eye", "at", "dir", "up", "fov"):
-            raise ValueError(f"camera {text!r}: {part!r} is not eye=, at=, dir=, up= or fov=; {hint}")
+            raise NptraceError(f"camera {text!r}: {part!r} is not eye=, at=, dir=, up= or fov=; {hint}")
         if key in fields:
-            raise ValueError(f"camera {text!r}: {key}= is there twice; {hint}")
+            raise NptraceError(f"camera {text!r}: {key}= is there twice; {hint}")
         fields[key] = value
     if "eye" not in fields or ("at" in fields) == ("dir" in fields):
-        raise ValueError(f"camera {text!r} must have eye= and one of at= and dir=; {hint}")
+        raise NptraceError(f"camera {text!r} must have eye= and one of at= and dir=; {hint}")
     eye = parse_point(fields["eye"])
     at = parse_point(fields["at"]) if "at" in fields else _point(np.add(eye, parse_point(fields["dir"])))
     up = parse_point(fields["up"]) if "up" in fields else (0.0, 1.0, 0.0)
@@ -153,7 +155,7 @@ def parse_point(text: str) -> Point:
     """Return the three finite numbers of ``"x,y,z"``."""
     numbers = [_number(word) for word in text.split(",")]
     if len(numbers) != 3:
-        raise ValueError(f"point {text!r} has {len(numbers)} numbers, must have three; write e.g. 1,2.5,-3")
+        raise NptraceError(f"point {text!r} has {len(numbers)} numbers, must have three; write e.g. 1,2.5,-3")
     return _point(numbers)
 
 
@@ -161,7 +163,7 @@ def parse_size(text: str) -> tuple[int, int]:
     """Return (width, height) of ``"512x512"``, checked."""
     match = re.fullmatch(r"\s*(\d{1,9})\s*[xX]\s*(\d{1,9})\s*", text, re.ASCII)
     if match is None:
-        raise ValueError(f"size {text!r} is not WIDTHxHEIGHT in pixels; write e.g. 512x512")
+        raise NptraceError(f"size {text!r} is not WIDTHxHEIGHT in pixels; write e.g. 512x512")
     width, height = int(match[1]), int(match[2])
     check_size(width, height)
     return width, height
@@ -170,9 +172,9 @@ def parse_size(text: str) -> tuple[int, int]:
 def check_size(width: int, height: int) -> None:
     """Raise ValueError unless a picture of ``width`` x ``height`` pixels can be rendered."""
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ValueError(f"size {width}x{height}: each side must be 1 to {MAX_SIDE} pixels; write e.g. 512x512")
+        raise NptraceError(f"size {width}x{height}: each side must be 1 to {MAX_SIDE} pixels; write e.g. 512x512")
     if width * height > MAX_PIXELS:
-        raise ValueError(f"size {width}x{height} is {width * height} pixels, the most is {MAX_PIXELS}; make it smaller")
+        raise NptraceError(f"size {width}x{height} is {width * height} pixels, the most is {MAX_PIXELS}; make it smaller")
 
 
 def pixel_order(order: str, width: int, height: int, seed: int = 0) -> np.ndarray:
@@ -206,7 +208,7 @@ def pixel_order(order: str, width: int, height: int, seed: int = 0) -> np.ndarra
         # Pixel numbers below random bits, sorted: unlike Generator.permutation, these bits are never to change.
         numbers = np.random.PCG64(seed).random_raw(width * height) & np.uint64(0xFFFFFFFF_00000000)
         return np.sort(numbers | np.arange(width * height, dtype=np.uint64)).astype(np.uint32)
-    raise ValueError(f"pixel order {order!r} is not known; take one of {', '.join(ORDERS)}")
+    raise NptraceError(f"pixel order {order!r} is not known; take one of {', '.join(ORDERS)}")
 
 
 def _tiles(width: int, height: int) -> np.ndarray:
@@ -250,7 +252,7 @@ def _point(values, what: str = "point") -> Point:
     """Return three finite floats, or raise ValueError."""
     point = tuple(map(float, values))
     if len(point) != 3 or not all(map(math.isfinite, point)):
-        raise ValueError(f"{what} is {_text(point)}, must be three finite numbers; write e.g. 1,2.5,-3")
+        raise NptraceError(f"{what} is {_text(point)}, must be three finite numbers; write e.g. 1,2.5,-3")
     return point
 
 
@@ -258,7 +260,7 @@ def _number(word: str) -> float:
     try:
         return float(word)
     except ValueError:
-        raise ValueError(f"{word!r} is not a number; write e.g. 1, 2.5 or -3e2") from None
+        raise NptraceError(f"{word!r} is not a number; write e.g. 1, 2.5 or -3e2") from None
 
 
 def _text(point) -> str:

@@ -22,6 +22,7 @@ from jit import kernel
 from rtrace.clip import POLYGON, split_bounds, value
 from rtrace.nodes import KD_NODE, LEAF, Tree, triangle_boxes, words
 from rtrace.sorting import sort
+from traces.errors import NptraceError
 
 # An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
 # what lies in it, and that before what starts there.
@@ -360,7 +361,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     """
     if not isinstance(triangles, np.ndarray) or triangles.dtype != np.float32 or triangles.shape[1:] != (3, 3):
         got = f"{triangles.dtype} {triangles.shape}" if isinstance(triangles, np.ndarray) else type(triangles).__name__
-        raise ValueError(f"triangles must be float32 (n, 3, 3), got {got}; use vertices.astype(np.float32)[faces]")
+        raise NptraceError(f"triangles must be float32 (n, 3, 3), got {got}; use vertices.astype(np.float32)[faces]")
     n = len(triangles)
     if max_refs is None:
         max_refs = min(16 * n + 1000, _MAX_REFS)
@@ -374,11 +375,11 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     )
     for name, given, is_kept, rule in rules:
         if not is_kept:
-            raise ValueError(f"{name} must be {rule}; got {given}")
+            raise NptraceError(f"{name} must be {rule}; got {given}")
     triangles = np.ascontiguousarray(triangles)
     if not np.isfinite(triangles).all():
         ends = [triangles.min(axis=(0, 1)).tolist(), triangles.max(axis=(0, 1)).tolist()]
-        raise ValueError(f"triangles must be finite, got bounds {ends}; drop the triangles with NaN or inf")
+        raise NptraceError(f"triangles must be finite, got bounds {ends}; drop the triangles with NaN or inf")
     lower, upper = triangle_boxes(triangles)
     bounds = np.stack((lower.min(axis=0), upper.max(axis=0)))
 
@@ -452,7 +453,7 @@ def sah_cost(tree: Tree, c_trav: float, c_isect: float) -> float:
     Where the root has no area (then it is a leaf) every ray counts as meeting it.
     """
     if tree.kind != "kdtree":
-        raise ValueError(f"sah_cost is for a kdtree, got a {tree.kind}")
+        raise NptraceError(f"sah_cost is for a kdtree, got a {tree.kind}")
     boxes = np.zeros(6 * (tree.max_level + 2))
     boxes[:6] = tree.bounds.reshape(6)
     half_area = _half_area(boxes, 0)

@@ -14,8 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from traces.errors import NptraceError
 
-class SceneError(ValueError):
+
+class SceneError(NptraceError):
     """A mesh or scene that cannot be read or rendered; the message has what is wrong and the way out."""
 
 

@@ -29,6 +29,7 @@ from rtrace.shapes import (
     tube,
     turned,
 )
+from traces.errors import NptraceError
 
 __all__ = ["STAND_INS", "boxes", "height_field", "icosphere", "soup", "stand_in"]
 
@@ -51,9 +52,9 @@ def stand_in(name: str, detail: float = 1.0) -> Scene:
     ``detail``, 0 < detail <= 1, is about the share of the triangles to make; flat parts and the smallest stay as they are.
     """
     if name not in STAND_INS:
-        raise ValueError(f"{name!r} is not a built-in scene; take one of {', '.join(STAND_INS)}")
+        raise NptraceError(f"{name!r} is not a built-in scene; take one of {', '.join(STAND_INS)}")
     if not 0.0 < detail <= 1.0:
-        raise ValueError(f"detail is {detail!r}, must be above 0 and at most 1")
+        raise NptraceError(f"detail is {detail!r}, must be above 0 and at most 1")
     made = STAND_INS[name]
 
     def steps(n: int) -> int:

@@ -20,6 +20,7 @@ from rtrace.nodes import Tree, node_table
 from rtrace.scene import Scene
 from rtrace.shoot import Chunk, shoot
 from rtrace.treecache import cached_tree
+from traces.errors import NptraceError
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
 from traces.writer import RunWriter
 
@@ -52,9 +53,9 @@ class Shooting:
     def __post_init__(self) -> None:
         check_size(self.width, self.height)
         if self.order not in ORDERS:
-            raise ValueError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
+            raise NptraceError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
         if self.batch < 0:
-            raise ValueError(f"batch must be 0 (all primary rays first) or more, got {self.batch}")
+            raise NptraceError(f"batch must be 0 (all primary rays first) or more, got {self.batch}")
 
 
 class Summary(NamedTuple):
@@ -96,7 +97,7 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
         threads is below 1.
     """
     if threads < 1:
-        raise ValueError(f"threads must be at least 1, got {threads}")
+        raise NptraceError(f"threads must be at least 1, got {threads}")
     frame = scene.camera.frame(shooting.width, shooting.height)
     pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
     batch = shooting.batch or len(pixels)

@@ -23,6 +23,7 @@ from rtrace.intersect import NO_PRIM, inverse, margins, shear, triangle_t
 from rtrace.lanes import larger, load, pack, scaled_difference, smaller, unpack
 from rtrace.nodes import Tree, words
 from traces import format as contract
+from traces.errors import NptraceError
 
 # Indices are uint64 throughout: Numba tests a signed index for wrap-around at every access, which made the kd-tree half as
 # fast. A plain integer next to a uint64 becomes signed, hence the names.
@@ -347,7 +348,7 @@ def make_rays(
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
             values: dict[str, np.ndarray] = {"origin": origin, "direction": direction, "t_min": low, "t_max": high}
-            raise ValueError(f"ray {i} has {name} {values[name][i]}: {rule}; {int(bad.sum())} of {n} rays are bad")
+            raise NptraceError(f"ray {i} has {name} {values[name][i]}: {rule}; {int(bad.sum())} of {n} rays are bad")
     return Rays(origin, direction, low, high)
 
 

@@ -22,6 +22,7 @@ from rtrace.bvh import build_bvh
 from rtrace.kdtree import build_kdtree
 from rtrace.nodes import BVH_NODE, KD_NODE, Tree
 from rtrace.scene import Scene
+from traces.errors import NptraceError
 
 TREES = ("kdtree", "bvh")
 MAX_BYTES = 2 << 30
@@ -33,7 +34,7 @@ def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
         return build_kdtree(triangles, **params)
     if kind == "bvh":
         return build_bvh(triangles, **params)
-    raise ValueError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
+    raise NptraceError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
 
 
 def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: Any) -> Tree:

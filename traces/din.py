@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from jit import kernel
+from traces.errors import NptraceError
 from traces.format import PREFETCH
 from traces.reader import Run
 from traces.whole import whole_file
@@ -34,7 +35,7 @@ for _digit, _char in enumerate("0123456789abcdef"):
 _OK, _BAD_LABEL, _BAD_ADDRESS, _WIDE_ADDRESS = range(4)
 
 
-class DinError(ValueError):
+class DinError(NptraceError):
     """A trace that cannot be read or written; the message has the line, the rule and the way out."""
 
 

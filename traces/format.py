@@ -15,6 +15,8 @@ from typing import Any
 
 import pyarrow as pa
 
+from traces.errors import NptraceError
+
 FORMAT_VERSION = 1
 ROW_GROUP = 1 << 18  # rows: a page, which is one column of them, is 2 MB at most
 METADATA_KEY = b"nptrace"
@@ -83,5 +85,5 @@ def column_encoding(schema: pa.Schema) -> dict[str, str]:
     return {name: "BYTE_STREAM_SPLIT" for name in schema.names if schema is not ACCESSES or name == "kind"}
 
 
-class RunError(ValueError):
+class RunError(NptraceError):
     """A directory that is not a readable run; the message says what is wrong and what to do."""
