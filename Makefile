@@ -34,9 +34,9 @@ reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and prin
 
 docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
-	$(BIN)/nptrace render bunny conference sibenik sponza --out .venv/runs
+	$(BIN)/nptrace render bunny conference sibenik sponza --out .venv/runs --overwrite
 	$(BIN)/npcache table1 --traces .venv/runs --format csv -o docs/data/table1.csv
-	$(BIN)/nptrace render blob room nave court --accel bvh --size 320x320 --out .venv/stand-ins
+	$(BIN)/nptrace render blob room nave court --accel bvh --size 320x320 --out .venv/stand-ins --overwrite
 	$(BIN)/python docs/pictures.py docs/scenes.png .venv/stand-ins/*/image.png
 	$(BIN)/nptrace check bunny conference sibenik sponza --json > docs/data/embree.json
 	$(BIN)/cog -r $(PAGES)

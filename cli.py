@@ -20,8 +20,10 @@ from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from options import (
     BadInput,
     Commands,
+    check_run_names,
     list_option,
     load_scenes,
+    output_option,
     parse_kd,
     picture_options,
     progress_bar,
@@ -88,22 +90,28 @@ def nptrace() -> None:
     show_default=True,
     help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
 )
+@click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), default="traces", show_default=True, help="Folder for the runs."
-)
+    "--name", "run_names", multiple=True, metavar="NAME",
+    help="Name of the run, before -kdtree or -bvh, in place of the scene's; once per SCENE.",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace a run of another scene, picture or tree that has the same name.")
 @threads_option()
 @scene_options
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def render(
     names: tuple[str, ...], accel: tuple[str, ...], size: str, camera: str | None, light: str | None, order: str, batch: int,
-    seed: int, kd_text: str, bvh_builder: str, out: Path, threads: int, strict: bool, offline: bool, as_json: bool,
+    seed: int, kd_text: str, bvh_builder: str, out: Path, run_names: tuple[str, ...], overwrite: bool, threads: int,
+    strict: bool, offline: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
-    A SCENE is a mesh file or a name that `nptrace scenes` lists.
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>; the same run made again
+    replaces itself, another one of its name is kept unless --overwrite is given.
 
     \b
     nptrace render bunny
+    nptrace render a/scene.gltf b/scene.gltf --name chair --name table
     nptrace render model.obj --accel bvh --size 512x512 --camera "eye=0,2,5 at=0,0,0"
     """
     from rtrace import precision
@@ -111,6 +119,7 @@ def render(
     from rtrace.render import Shooting, render_all
     from rtrace.scene import seen_from
 
+    check_run_names(run_names, len(names))
     shooting = Shooting(*parse_size(size), order, batch, seed)
     params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
     chosen = {kind: params[kind] for kind in accel or params}
@@ -121,9 +130,11 @@ def render(
             click.echo(f"{scene.label}: {precision.choice(scene.precision)}", err=True)
     n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen) * (1 if batch else 2)
     with progress_bar("trace", n_pixels) as progress:
-        runs = list(
-            render_all(scenes, chosen, shooting, out, threads=threads, tool_version=version("nptrace"), progress=progress)
-        )
+        summaries = render_all(
+            scenes, chosen, shooting, out, names=run_names, overwrite=overwrite, threads=threads,
+            tool_version=version("nptrace"), progress=progress,
+        )  # fmt: skip
+        runs = list(summaries)
     if as_json:
         click.echo(json.dumps([run._asdict() for run in runs], indent=2))
         return
@@ -242,7 +253,7 @@ def print_checks(rows: list[dict[str, Any]], note: str) -> None:
     show_default=True,
     help="Label of the pre-fetch requests: b, as reads (0), as misc (3), or leave them out.",
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="File; RUN.din by default.")
+@output_option("-o", "--output", help="File, - for stdout; RUN.din by default.")
 def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
     """Write a run as a trace that DineroIV itself replays.
 
@@ -256,17 +267,18 @@ def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | Non
     opened = open_run(run)
     target = output or Path(f"{opened.name}.{form}")
     written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch)
-    click.echo(f"{target}: {written:,} accesses")
+    click.echo(f"{target}: {written:,} accesses", err=True)
 
 
 @nptrace.command(name="compile")
 def compile_() -> None:
     """Compile everything now, which the first use of each command does otherwise; kept until the program changes."""
-    from jit import CACHE_FOLDER
+    from jit import cache_folder
     from precompile import compile_all
 
     n_compiled = compile_all()
-    click.echo(f"{n_compiled} kernels compiled, all ready in {CACHE_FOLDER}")
+    kept = "" if "kernels" in compiling.lost else f", all ready in {cache_folder()}"
+    click.echo(f"{n_compiled} kernels compiled{kept}")
 
 
 @click.group(cls=Commands)
@@ -351,8 +363,8 @@ def print_results(results: "list[Result]", report: str) -> None:
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help="none, traced, stack[:...], as in replay.")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help="Where nodes lie, as in replay.")
 @threads_option()
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="A .parquet or .csv file.")
-@click.option("--plot", "picture", type=click.Path(path_type=Path, dir_okay=False), help="A .png, .svg or .pdf file.")
+@output_option("-o", "--output", help="A .parquet or .csv file; - is CSV on stdout.")
+@output_option("--plot", "picture", help="A .png, .svg or .pdf file.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of CSV.")
 def sweep(
     sources: tuple[Path, ...], folder: Path, size: list[str], ways: list[str], line: list[int], prefetch: list[str],
@@ -371,6 +383,9 @@ def sweep(
     from cachesim.source import open_source
 
     all_ways = list(dict.fromkeys(way for text in ways for way in sweeping.parse_ways_range(text)))
+    for path, endings in ((output, sweep_files.TABLES), (picture, sweep_files.PICTURES)):
+        if path is not None:
+            sweep_files.ending_of(path, endings)  # or it is known only when all is counted
     configs = sweeping.grid([sweeping.parse_range(text) for text in size], all_ways, line)
     rows: list[sweeping.Row] = []
     for path in sources or default_sources(folder):
@@ -432,9 +447,7 @@ def estimate_scenes(
     help="Half-width allowed for every miss rate: of its value (2%), in points (0.05pp), or the wider of two.",
 )  # fmt: skip
 @picture_options
-@click.option(
-    "--resume", type=click.Path(path_type=Path, dir_okay=False), help="File that keeps the counts; continued if there."
-)
+@output_option("--resume", help="File that keeps the counts; continued if there.")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def estimate(
     names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
@@ -481,7 +494,7 @@ def estimate(
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: of the sample.")
 @click.option("--format", "form", type=click.Choice(FORMATS), default=FORMATS[0], show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file instead of stdout.")
+@output_option("-o", "--output", help="Write to a file instead of stdout.")
 def table1(
     folder: Path, error: str | None, pixels: str, seed: int, form: str, as_json: bool, output: Path | None
 ) -> None:  # fmt: skip

@@ -1,8 +1,12 @@
 """What the commands share: options, their types and their errors, progress on stderr, files that appear whole."""
 
 import errno
+import io
 import os
+import re
+import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +25,30 @@ if TYPE_CHECKING:
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
+#: Exit status of a program that Ctrl-C ended.
+INTERRUPTED = 130
+
+
+class Interrupt:
+    """What Ctrl-C does to a program: it leaves at once, deleting on its way what is half written.
+
+    Further ones do not disturb that; after a second of it they end everything.
+    """
+
+    def __init__(self) -> None:
+        self.is_seen = False
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored, as behind nohup
+            signal.signal(signal.SIGINT, self._leave)
+
+    def _leave(self, number: int, frame: object) -> None:
+        if not self.is_seen:
+            self.is_seen, self._time = True, time.monotonic()
+            sys.unraisablehook = lambda error: None  # it may be seen in a place that cannot be left
+            raise SystemExit(INTERRUPTED)
+        if time.monotonic() > self._time + 1:
+            os._exit(INTERRUPTED)
+
+
 class BadInput(click.ClickException):
     """One sentence on stderr, exit status 2."""
 
@@ -31,10 +59,18 @@ class Commands(click.Group):
     """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run as a program: what takes long the first time is said."""
-        if not args:
-            compiling.announce = lambda text: click.echo(text, err=True)
-        return super().__call__(*args, **kwargs)
+        """Run as a program: what takes long the first time is said, names are printed as they are, Ctrl-C ends it quietly."""
+        if args:
+            return super().__call__(*args, **kwargs)
+        compiling.announce = lambda text: click.echo(text, err=True)
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="surrogateescape")  # the name of a file may be no text
+        interrupt = Interrupt()
+        try:
+            return super().__call__(**kwargs)
+        finally:
+            if interrupt.is_seen:
+                os._exit(INTERRUPTED)  # threads may be busy for seconds; what they wrote is deleted by now
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""
@@ -47,8 +83,7 @@ class Commands(click.Group):
         except OSError as e:
             if e.filename is None and e.errno not in _FULL:
                 raise
-            where = "the output" if e.filename is None else os.fsdecode(e.filename)
-            raise BadInput(f"{where}: {e.strerror}; make room, or name another file") from e
+            raise BadInput(f"{e.filename or 'standard output'}: {e.strerror}; name another file or folder") from e
 
 
 class ListOf(click.ParamType):
@@ -109,11 +144,24 @@ def write_out(text: str, out: Path | None) -> None:
         return
     from traces.whole import whole_file
 
-    try:
-        with whole_file(out) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as e:
-        raise BadInput(f"cannot write {out}: {e.strerror}; choose another -o") from e
+    with whole_file(out) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors="surrogateescape")
+
+
+def output_option(*names: str, help: str) -> Any:
+    """Return an option for a file to write; whether it can be written is looked at before any work is done."""
+
+    def checked(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
+        if path is not None:
+            from traces.whole import check_writable
+
+            try:
+                check_writable(path)
+            except NptraceError as e:
+                raise BadInput(str(e)) from e
+        return path
+
+    return click.option(*names, type=click.Path(path_type=Path, allow_dash=True), callback=checked, help=help)
 
 
 def threads_option() -> Any:
@@ -147,6 +195,15 @@ def load_scenes(names: Sequence[str], strict: bool, offline: bool) -> "list[Scen
                 click.echo(sentence, err=True)
         scenes.append(scene)
     return scenes
+
+
+def check_run_names(names: Sequence[str], n_scenes: int) -> None:
+    """Raise BadInput unless each name, one per scene or none at all, can be that of a folder among the runs."""
+    if names and len(names) != n_scenes:
+        raise BadInput(f"--name is given {len(names)} times for {n_scenes} scenes; give it once per SCENE, in their order")
+    for name in names:
+        if not re.fullmatch(r"[\w][\w.-]*", name):
+            raise BadInput(f"--name: {name!r} is no name for a run; take letters, digits, _ . and -, the first no . or -")
 
 
 #: Parameters of the kd-tree builder that a user may set, and the type of each.

@@ -1,10 +1,13 @@
 """Compiling every kernel ahead of its first use, by doing each command's work on a tiny scene; two processes share it."""
 
 import gc
-import multiprocessing
+import json
+import os
+import signal
+import subprocess
+import sys
 import tempfile
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,14 +32,48 @@ from traces.reader import open_run
 def compile_all() -> int:
     """Compile every kernel of the commands that is not in the cache; return how many were compiled."""
     # Numba's global lock lets threads compile only one after another. A fork may inherit locks that other threads hold.
-    with ProcessPoolExecutor(len(PARTS), mp_context=multiprocessing.get_context("spawn")) as pool:
-        return sum(pool.map(_count, PARTS))
+    # In sessions of their own, Ctrl-C reaches this process alone.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    children = [
+        subprocess.Popen(
+            [sys.executable, "-P", "-c", f"import precompile; precompile.compile_part({part})"], env=environment, text=True,
+            stdout=subprocess.PIPE, start_new_session=True,
+        )
+        for part in range(len(PARTS))
+    ]  # fmt: skip
+    try:
+        printed = [child.communicate()[0] for child in children]
+    except BaseException:
+        _end(children)
+        raise
+    if any(child.returncode for child in children):
+        raise RuntimeError("compiling failed, as printed above")
+    total = 0
+    for n_compiled, lost in map(json.loads, printed):
+        total += n_compiled
+        for what, sentence in lost.items():
+            compiling.lose(what, sentence)
+    return total
 
 
-def _count(part: Callable[[], None]) -> int:
+def _end(children: Sequence[subprocess.Popen[str]]) -> None:
+    """End processes: let them delete what is half written, but not for long."""
+    for child in children:
+        child.terminate()
+    for child in children:
+        try:
+            child.wait(2)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+
+def compile_part(part: int) -> None:
+    """Compile one of ``PARTS`` in this process; print how many kernels it compiled and what could not be kept, as JSON."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     gc.set_threshold(*compiling.GC_THRESHOLD)
-    part()
-    return compiling.n_compiled
+    PARTS[part]()
+    print(json.dumps([compiling.n_compiled, compiling.lost]))
 
 
 def building_and_sweeping() -> None:

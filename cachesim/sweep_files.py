@@ -2,8 +2,7 @@
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,11 @@ import pyarrow.parquet as pq
 from cachesim.config import format_bytes
 from cachesim.sweep import Row
 from traces.errors import NptraceError
-from traces.whole import whole_file
+from traces.whole import is_special, whole_file
+
+#: What a sweep is written as, by the ending of a name.
+TABLES = (".csv", ".parquet")
+PICTURES = (".png", ".svg", ".pdf")
 
 
 def to_csv(rows: Sequence[Row]) -> str:
@@ -27,27 +30,29 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 
 def write(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as a Parquet or CSV file, by the ending of its name; whole or not at all."""
-    with _whole(path, {".parquet", ".csv"}) as temporary:
-        if path.suffix == ".csv":
-            temporary.write_text(to_csv(rows), encoding="utf-8")
+    """Write rows as a CSV or Parquet file, by the ending of its name; whole or not at all."""
+    ending = ending_of(path, TABLES)
+    with whole_file(path) as temporary, open(temporary, "wb") as file:
+        if ending == ".csv":
+            file.write(to_csv(rows).encode("utf-8", "surrogateescape"))
             return
-        dicts = [row.to_dict() for row in rows]
+        # Parquet holds text, and a run's name may be none.
+        dicts = [{**row.to_dict(), "run": row.run.encode("utf-8", "backslashreplace").decode()} for row in rows]
         types_of = {str: pa.string(), int: pa.int64()}  # the others are rates, and may be None
         fields = [pa.field(name, types_of.get(type(value), pa.float64())) for name, value in dicts[0].items()]
-        pq.write_table(pa.Table.from_pylist(dicts, pa.schema(fields)), temporary)
+        pq.write_table(pa.Table.from_pylist(dicts, pa.schema(fields)), file)
 
 
-@contextmanager
-def _whole(path: Path, endings: set[str]) -> Iterator[Path]:
-    """Yield a temporary name that becomes ``path`` if nothing is raised."""
-    if path.suffix not in endings:
-        raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
-    try:
-        with whole_file(path) as temporary:
-            yield temporary
-    except OSError as e:
-        raise NptraceError(f"cannot write {path}: {e.strerror or e}; choose another name") from e
+def ending_of(path: Path, endings: Sequence[str]) -> str:
+    """Return the ending that says what is written; the first for standard output and the like, whose names have none.
+
+    Raises NptraceError for a file of another ending.
+    """
+    if path.suffix in endings:
+        return path.suffix
+    if is_special(path):
+        return endings[0]
+    raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
@@ -56,7 +61,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     One panel for each run (with its pre-fetches and layout) and line size. Of more than six numbers of ways, the powers of two
     are drawn. Solid: with pre-fetching; dashed: without, where there is any.
     """
-    with _whole(path, {".png", ".svg", ".pdf"}) as temporary:
+    ending = ending_of(path, PICTURES)
+    with whole_file(path) as temporary:
         try:
             from matplotlib import rc_context
             from matplotlib.figure import Figure
@@ -78,7 +84,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             _draw_legend(figure, styles, has_prefetch=any(row.prefetch_accesses for row in rows))
             # No time stamp: the same rows give the same file.
             stamps: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-            figure.savefig(temporary, dpi=200, metadata=stamps.get(path.suffix))
+            figure.savefig(temporary, dpi=200, metadata=stamps.get(ending), format=ending[1:])
 
 
 def _run_of(row: Row) -> tuple[str, str]:

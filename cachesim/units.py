@@ -21,6 +21,7 @@ from cachesim.layout import addresses
 from cachesim.prefetch import KIND_PREFETCH, REQUEST
 from cachesim.source import NodeLines
 from traces.errors import NptraceError
+from traces.whole import whole_file
 
 #: The short warm-up: so many positions, or twice, four times ... as many, until there were so many accesses for each line of
 #: the largest cache, but no more than a row.
@@ -246,17 +247,12 @@ class UnitCounts:
         units, long_ = sorted(self._short), sorted(self._long)
         counts, certain, open_ = self.table(units)
         settled = np.array([self._long[k].settled for k in long_]), np.array([self._long[k].bracket for k in long_])
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with open(temporary, "wb") as file:
-                np.savez(
-                    file, key=np.array(self._key()), units=units, long=np.array(long_, np.int64).reshape(-1, 2),
-                    settled=settled[0], bracket=settled[1], n_traced=self.n_traced, counts=counts, certain=certain, open=open_,
-                    before=[self._before[u] for u in units],
-                )  # fmt: skip
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with whole_file(path) as temporary, open(temporary, "wb") as file:
+            np.savez(
+                file, key=np.array(self._key()), units=units, long=np.array(long_, np.int64).reshape(-1, 2),
+                settled=settled[0], bracket=settled[1], n_traced=self.n_traced, counts=counts, certain=certain, open=open_,
+                before=[self._before[u] for u in units],
+            )  # fmt: skip
 
     def load(self, path: Path) -> None:
         """Take the counts of a file, if there is one.

@@ -4,7 +4,6 @@ An archive is believed if its sha256 is one that was recorded, or if the mesh in
 scene is known. Nothing half-done stays: the archive lives in a temporary folder, the cached file is renamed into place.
 """
 
-import os
 import tarfile
 import tempfile
 import zipfile
@@ -18,6 +17,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from rtrace.scene import Scene, SceneError, load_mesh, scene_from_triangles
+from traces.folders import private_folder
+from traces.whole import replacing
 
 if TYPE_CHECKING:
     from rtrace.catalog import Entry
@@ -84,8 +85,10 @@ def download(entry: "Entry", folder: Path, notify: Notify, base_url: str | None 
     if sha256 not in entry.archives and scene.sha256 != entry.sha256:
         notify(f"{entry.name} was not used: neither the archive (sha256 {sha256}) nor the mesh in it is one that is known")
         return None
-    with suppress(OSError):  # a cache that cannot be written to costs a download next time, no more
+    try:
         _keep(scene, folder)
+    except OSError as error:  # this costs a download next time, no more
+        notify(f"{entry.name} could not be kept in {folder}: {error}")
     return scene
 
 
@@ -138,12 +141,6 @@ def _copy(source: IO[bytes], target: Path) -> None:
 
 
 def _keep(scene: Scene, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.save(file, scene.triangles)
-        os.replace(temporary, folder / f"{scene.name}-{scene.sha256}.npy")
-    finally:
-        with suppress(FileNotFoundError):
-            os.unlink(temporary)
+    private_folder(folder)
+    with replacing(folder / f"{scene.name}-{scene.sha256}.npy") as temporary, open(temporary, "wb") as file:
+        np.save(file, scene.triangles)

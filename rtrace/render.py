@@ -22,7 +22,7 @@ from rtrace.shoot import Chunk, shoot
 from rtrace.treecache import cached_tree
 from traces.errors import NptraceError
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
-from traces.writer import RunWriter
+from traces.writer import RunWriter, refuse_other
 
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
 AHEAD = 1  # chunks traced but not yet written, per thread
@@ -206,24 +206,37 @@ def render_all(
     shooting: Shooting,
     folder: Path,
     *,
+    names: Sequence[str] = (),
+    overwrite: bool = True,
     threads: int = 2,
     tool_version: str = "",
     progress: Callable[[int], object] = lambda pixels: None,
 ) -> Iterator[Summary]:
     """Render each scene with each tree of ``params`` (kind -> builder parameters) as ``folder/<scene>-<tree>``.
 
-    The trees are built by threads ahead of the pictures; summaries come as the runs are written.
+    The trees are built by threads ahead of the pictures; summaries come as the runs are written. ``names`` replace the scenes'
+    own in the names of the runs.
+
+    Raises
+    ------
+    NptraceError
+        Two scenes would be one run, or, unless ``overwrite``, another run is there already; nothing is traced then.
     """
-    with ThreadPoolExecutor(threads) as pool:
-        jobs = [(s, kind, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
-        try:
-            for scene, kind, tree in jobs:
-                path = folder / f"{scene.name}-{kind}"
-                yield render(
-                    scene, tree.result(), shooting, path, threads=threads, tool_version=tool_version, progress=progress
-                )
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    names = names or [scene.name for scene in scenes]
+    paths = [folder / f"{name}-{kind}" for name in names for kind in params]
+    twice = next((path for path in paths if paths.count(path) > 1), None)
+    if twice is not None:
+        raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE")
+    pool = ThreadPoolExecutor(threads)
+    jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
+    try:
+        for path, (scene, tree) in zip(paths, jobs, strict=True):
+            if path.exists() and not overwrite:
+                refuse_other(path, metadata(scene, tree.result(), shooting, tool_version))
+        for path, (scene, tree) in zip(paths, jobs, strict=True):
+            yield render(scene, tree.result(), shooting, path, threads=threads, tool_version=tool_version, progress=progress)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)  # whoever interrupts does not wait for a tree
 
 
 def _png(pixels: np.ndarray) -> bytes:

@@ -1,28 +1,33 @@
 """Trees kept in the user's cache: a scene and builder parameters -> the tree, built once.
 
-A file is named by a hash of all that decides the tree: the triangles, the kind, the parameters and the sources of the kernels.
+A file is named by a hash of all that decides the tree: the triangles, the kind, the parameters and the builders' sources.
 It appears whole (written under another name and renamed), so two processes at once do no harm; a file that cannot be read
-is built again. The oldest files go when the folder grows beyond ``MAX_BYTES``.
+is built again. Only a folder that nobody else may write to is used, because kernels believe the numbers of a tree. The
+oldest files go when the folder grows beyond ``MAX_BYTES``.
 """
 
 import hashlib
 import json
 import os
-import tempfile
 import zipfile
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from platformdirs import user_cache_path
 
-from jit import kernel_digest
+import compiling
+from jit import versions
 from rtrace.bvh import build_bvh
 from rtrace.kdtree import build_kdtree
 from rtrace.nodes import BVH_NODE, KD_NODE, Tree
 from rtrace.scene import Scene
 from traces.errors import NptraceError
+from traces.folders import private_folder
+from traces.sources import ROOT, digest_of
+from traces.whole import replacing
 
 TREES = ("kdtree", "bvh")
 MAX_BYTES = 2 << 30
@@ -40,19 +45,33 @@ def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
 def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: Any) -> Tree:
     """Return the scene's tree, from the cache (``folder``, or the user's) if it was built before; build and keep it otherwise.
 
-    Parameters as ``build_tree``. A cache that cannot be written to is done without.
+    Parameters as ``build_tree``. If the cache cannot be used, the tree is not kept.
     """
     folder = folder or user_cache_path("nptrace") / "trees"
-    key = json.dumps([scene.sha256, kind, sorted(params.items()), kernel_digest()])
+    key = json.dumps([scene.sha256, kind, sorted(params.items()), _builder_digest(), versions()])
     path = folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
+    try:
+        private_folder(folder)
+    except OSError as e:
+        compiling.not_kept("trees", {folder: e})
+        return build_tree(scene.triangles, kind, **params)
     try:
         return _load(path, scene, kind)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         tree = build_tree(scene.triangles, kind, **params)
-    with suppress(OSError):
+    try:
         _store(path, tree)
         _forget_oldest(folder)
+    except OSError as e:
+        compiling.not_kept("trees", {folder: e})
     return tree
+
+
+@cache
+def _builder_digest() -> str:
+    """Return a digest of the sources that decide what a tree is, and how it is kept."""
+    here = ROOT / "rtrace"
+    return digest_of([here / "kdtree.py", here / "bvh.py"]) + hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 def _load(path: Path, scene: Scene, kind: str) -> Tree:
@@ -66,16 +85,9 @@ def _load(path: Path, scene: Scene, kind: str) -> Tree:
 
 
 def _store(path: Path, tree: Tree) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            params = np.frombuffer(json.dumps(tree.params).encode(), np.uint8)
-            np.savez(file, nodes=tree.nodes.view(np.uint32), prims=tree.prims, max_level=tree.max_level, params=params)
-        os.replace(temporary, path)
-    finally:
-        with suppress(FileNotFoundError):
-            os.unlink(temporary)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        params = np.frombuffer(json.dumps(tree.params).encode(), np.uint8)
+        np.savez(file, nodes=tree.nodes.view(np.uint32), prims=tree.prims, max_level=tree.max_level, params=params)
 
 
 def _forget_oldest(folder: Path) -> None:

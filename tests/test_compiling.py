@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import compiling
-from jit import CACHE_FOLDER
+from jit import cache_folder
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -69,8 +69,8 @@ def test_the_first_compilation_is_said_once(monkeypatch):
     monkeypatch.setattr(compiling, "n_compiled", 0)
     monkeypatch.setattr(compiling, "announce", said.append)
     for _ in range(3):
-        compiling.started(CACHE_FOLDER)
-    assert len(said) == 1 and str(CACHE_FOLDER) in said[0]
+        compiling.started(cache_folder())
+    assert len(said) == 1 and str(cache_folder()) in said[0]
     assert compiling.n_compiled == 3
 
 
@@ -83,8 +83,8 @@ try:
     cli.nptrace()
 except SystemExit:
     import jit
-    jit.kernel(lambda x: x + 1, cache=False)(1)
+    jit.kernel(lambda x: x + 1, is_kept=False)(1)
 """
     done = python(program, tmp_path)
     assert done.stderr.startswith("compiling for this machine, once") and done.stderr.count("\n") == 1
-    assert python("import cli, jit; jit.CACHE_FOLDER", tmp_path).stderr == ""
+    assert python("import cli, jit; jit.cache_folder()", tmp_path).stderr == ""

@@ -37,7 +37,7 @@ def start(folder, *args, limit=None, program="nptrace"):
 
 
 def render(folder, size, **options):
-    return start(folder, "render", "soup.obj", "--accel", "bvh", "--size", size, **options)
+    return start(folder, "render", "soup.obj", "--accel", "bvh", "--size", size, "--overwrite", **options)
 
 
 def finish(process):
@@ -223,6 +223,7 @@ def test_a_cut_footer_is_said(folder):
 DROPPED = """
 import os, sys
 from pathlib import Path
+from traces.errors import NptraceError
 from traces.format import SPLIT, RunError
 from traces.writer import RunWriter
 from traces.whole import whole_file
@@ -237,8 +238,8 @@ except RunError as e:
 try:
     with whole_file(Path("locked/out.csv")) as part:
         part.write_text("x")
-except OSError as e:
-    print(e.strerror)
+except NptraceError as e:
+    print(e)
 """
 
 
@@ -256,7 +257,7 @@ def test_a_read_only_folder_is_said_and_left_as_it_was(tmp_path):
     (tmp_path / "locked").chmod(0o755)
     assert done.stdout.splitlines() == [
         "cannot write locked/run: Permission denied; choose another --out",
-        "Permission denied",
+        "cannot write locked/out.csv: Permission denied; name another file",
     ], done.stderr
     assert os.listdir(tmp_path / "locked") == ["run"]
 

@@ -39,7 +39,7 @@ def test_other_triangles_parameters_and_kernels_are_other_trees(tmp_path, scene,
     cached_tree(scene, "kdtree", tmp_path)
     assert cached_tree(scene, "kdtree", tmp_path, max_level=3).max_level == 3
     cached_tree(scene_from_triangles(soup(500, seed=2), "soup"), "kdtree", tmp_path)
-    monkeypatch.setattr(treecache, "kernel_digest", lambda: "others")
+    monkeypatch.setattr(treecache, "_builder_digest", lambda: "others")
     cached_tree(scene, "kdtree", tmp_path)
     assert len(list(tmp_path.iterdir())) == 4
 

@@ -199,17 +199,14 @@ def export_din(
     labels = np.array([0, 0, 0, mark or 0], np.uint8)
     out = Path(out)
     written = 0
-    try:
-        with whole_file(out) as temporary, open(temporary, "wb") as file:
-            for nodes, kinds in run.batches():
-                if mark is None:
-                    keep = kinds != PREFETCH
-                    nodes, kinds = nodes[keep], kinds[keep]
-                where, what = narrow[nodes], labels[kinds]
-                file.write(_records(where, what, node_bytes) if fmt == "binary" else _lines(where, what))
-                written += where.size
-    except OSError as e:
-        raise DinError(f"cannot write {out}: {e.strerror}; nothing was kept") from e
+    with whole_file(out) as temporary, open(temporary, "wb") as file:
+        for nodes, kinds in run.batches():
+            if mark is None:
+                keep = kinds != PREFETCH
+                nodes, kinds = nodes[keep], kinds[keep]
+            where, what = narrow[nodes], labels[kinds]
+            file.write(_records(where, what, node_bytes) if fmt == "binary" else _lines(where, what))
+            written += where.size
     return written
 
 

@@ -2,11 +2,13 @@
 
 import ctypes
 import errno
+import glob
 import hashlib
 import json
 import os
 import secrets
 import shutil
+import stat
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -62,8 +64,9 @@ class _Table:
         self._n_pending = 0
         self._thread = ThreadPoolExecutor(1)
         self._waiting: deque[Future[None]] = deque()
+        self._file = pa.OSFile(os.fsencode(path), "wb")  # pyarrow takes no str that is not UTF-8
         self._writer = pq.ParquetWriter(
-            path, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
+            self._file, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
         )
 
     def append(self, columns: Columns | Callable[[], Columns]) -> None:
@@ -106,12 +109,15 @@ class _Table:
         self._thread.shutdown()
         self._writer.add_key_value_metadata({METADATA_KEY: metadata})
         self._writer.close()
+        self._file.close()
 
     def abandon(self) -> None:
         """Close the file handle and ignore what it says: the file is about to be deleted."""
         self._thread.shutdown(cancel_futures=True)
         with suppress(OSError, pa.ArrowException):
             self._writer.close()
+        with suppress(OSError, pa.ArrowException):
+            self._file.close()
 
 
 class RunWriter:
@@ -129,16 +135,22 @@ class RunWriter:
 
     def __init__(self, path: Path, metadata: Mapping[str, Any], node_fields: list[pa.Field]) -> None:
         self.path = Path(path)
+        self._real = Path(os.path.realpath(path))  # a run may be moved to another disk and linked back
         self._metadata = dict(metadata)
         self._node_fields = node_fields
 
     def __enter__(self) -> "RunWriter":
-        if self.path.exists() and not _looks_like_run(self.path):
-            raise RunError(f"{self.path} exists and is not a run; choose another --out or remove it")
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            _sweep(self.path)
-            self._temp = self.path.parent / f".{self.path.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp"
+            if self._real.exists() and not _looks_like_run(self._real):
+                raise RunError(f"{self.path} exists and is not a run; choose another --out or remove it")
+            if self._real.exists() and not os.access(self._real, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            if self.path.is_symlink() and not self._real.parent.is_dir():
+                raise RunError(f"{self.path} is a link to {self._real}, whose folder is missing; choose another --out")
+            self._real.parent.mkdir(parents=True, exist_ok=True)
+            for path in {self.path, self._real}:
+                _sweep(path)
+            self._temp = self._real.with_name(f".{self._real.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
             self._temp.mkdir()
         except OSError as e:
             raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
@@ -188,15 +200,16 @@ class RunWriter:
             table.close(text)
         for _ in range(100):  # another render may put its run there, or take it away, between any two of these calls
             try:
-                if not self.path.exists():
-                    self._temp.rename(self.path)
+                if not self._real.exists():
+                    self._temp.rename(self._real)
                     return
-                if _exchange(self._temp, self.path):
-                    shutil.rmtree(self._temp, ignore_errors=True)  # now the earlier run
+                self._temp.chmod(stat.S_IMODE(self._real.stat().st_mode))
+                if _exchange(self._temp, self._real):
+                    _remove(self._temp)  # now the earlier run
                     return
                 old = self._temp.with_suffix(".old")
-                self.path.rename(old)
-                shutil.rmtree(old, ignore_errors=True)
+                self._real.rename(old)
+                _remove(old)
             except OSError as e:
                 if e.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOENT) or not self._temp.exists():
                     raise
@@ -206,6 +219,26 @@ class RunWriter:
         for table in self._tables.values():
             table.abandon()
         shutil.rmtree(self._temp, ignore_errors=True)
+
+
+def refuse_other(path: Path, metadata: Mapping[str, Any]) -> None:
+    """Raise RunError if a run of other content is at ``path``: of another mesh, picture or tree than ``metadata`` tells of.
+
+    A run whose footers cannot be read is no loss.
+    """
+    found: dict[str, Any] = {}
+    for name in ("accesses", "rays", "nodes"):
+        with suppress(OSError, ValueError, pa.ArrowException), pa.OSFile(os.fsencode(path / f"{name}.parquet")) as file:
+            found = dict(json.loads(pq.read_metadata(file).metadata[METADATA_KEY]))
+    given = json.loads(json.dumps(metadata))
+    scenes = [{key: values.get("scene", {}).get(key) for key in ("sha256", "stand_in")} for values in (found, given)]
+    unlike = [] if scenes[0] == scenes[1] else ["scene"]
+    unlike += [key for key in given if key not in ("tool_version", "command", "scene") and found.get(key) != given[key]]
+    if found and unlike:
+        raise RunError(
+            f"{path} holds another run (of another {' and '.join(unlike)}); replace it with --overwrite, "
+            "or keep it with --name or another --out"
+        )
 
 
 def _exchange(a: Path, b: Path) -> bool:
@@ -224,11 +257,19 @@ def _looks_like_run(path: Path) -> bool:
 
 def _sweep(path: Path) -> None:
     """Delete what killed processes left beside ``path``; put back a run that was moved aside when its writer was killed."""
-    for left in path.parent.glob(f".{path.name}.*-*"):
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*-*"):
         pid = left.name[len(path.name) + 2 :].partition("-")[0]
         if left.suffix not in (".tmp", ".old") or not pid.isdigit() or is_alive(int(pid)):
             continue
         if left.suffix == ".old" and not path.exists():
             left.rename(path)
         else:
-            shutil.rmtree(left, ignore_errors=True)
+            _remove(left)
+
+
+def _remove(path: Path) -> None:
+    """Delete a folder with all in it, or a link without what it leads to."""
+    if path.is_symlink():
+        path.unlink(missing_ok=True)
+    else:
+        shutil.rmtree(path, ignore_errors=True)
