@@ -20,7 +20,7 @@ import numpy as np
 
 from jit import kernel
 from rtrace.clip import POLYGON, split_bounds, value
-from rtrace.nodes import KD_NODE, LEAF, Tree, triangle_boxes, words
+from rtrace.nodes import KD_NODE, LEAF, Tree, check_finite, triangle_boxes, words
 from rtrace.sorting import sort
 
 # An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
@@ -383,9 +383,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         if not is_kept:
             raise ValueError(f"{name} must be {rule}; got {given}")
     triangles = np.ascontiguousarray(triangles)
-    if not np.isfinite(triangles).all():
-        ends = [triangles.min(axis=(0, 1)).tolist(), triangles.max(axis=(0, 1)).tolist()]
-        raise ValueError(f"triangles must be finite, got bounds {ends}; drop the triangles with NaN or inf")
+    check_finite(triangles)
     lower, upper = triangle_boxes(triangles)
     bounds = np.stack((lower.min(axis=0), upper.max(axis=0)))
 
