@@ -8,7 +8,7 @@ import numpy as np
 
 from jit import kernel
 from rtrace import binned
-from rtrace.nodes import BVH_NODE, LEAF, Tree, triangle_boxes
+from rtrace.nodes import BVH_NODE, LEAF, Tree, check_finite, triangle_boxes
 from rtrace.sorting import sort
 from traces.errors import NptraceError
 
@@ -164,7 +164,7 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     Raises
     ------
     ValueError
-        Another shape or dtype, or an unknown builder.
+        Another shape or dtype, a coordinate that is NaN or infinite, or an unknown builder.
 
     Notes
     -----
@@ -172,6 +172,7 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     """
     if triangles.dtype != np.float32 or triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not len(triangles):
         raise NptraceError(f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}")
+    check_finite(triangles)
     n = len(triangles)
     triangles = np.ascontiguousarray(triangles)
     nodes, prims = np.zeros(2 * n, BVH_NODE), np.empty(n, np.int32)

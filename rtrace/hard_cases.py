@@ -437,6 +437,26 @@ def _(long):
     return exact_case(slivers, aimed(_OUTSIDE, inner))
 
 
+_ALMOST_0 = np.cos(np.pi / 2)  # 6e-17
+
+
+@_enter("slivers as wide as cos(pi/2) at the end of a floor")
+def _(long):
+    floor = rectangle((-1, 0, 0), (1, 0, 0), (0, 0, 1), 1, 200)
+    floor = np.concatenate([floor, [[(0, 0, 0), (_ALMOST_0, 0, 0), (0, 0, 1)]] * 3]).astype(np.float32)
+    targets = np.concatenate([floor[:: 1 if long else 6].mean(axis=1), floor[-40:, 1]])
+    return exact_case(floor, aimed([[-0.25, 1, 0.5], [_ALMOST_0 / 2, 1, 0.25]], targets))
+
+
+@_enter("half a disc, its diameter bent by cos(pi/2)")
+def _(long):
+    angle = np.linspace(np.pi / 2, 3 * np.pi / 2, 160 if long else 40)
+    rim = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    disc = np.stack([0 * rim[1:], rim[:-1], rim[1:]], axis=1).astype(np.float32)
+    targets = np.concatenate([disc.mean(axis=1), disc[::8, 2], [[_ALMOST_0 / 2, 0, 0.5]]])
+    return exact_case(disc, aimed([[-0.25, 1, 0.5], [_ALMOST_0 / 2, 1, 0.25], [0, -2, 0]], targets))
+
+
 @_enter("triangles without area among others")
 def _(long):
     a, along = _lattice(22, (40, 3), -3, 3), _lattice(23, (40, 3), -2, 2)

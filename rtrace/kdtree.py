@@ -20,7 +20,7 @@ import numpy as np
 
 from jit import kernel
 from rtrace.clip import POLYGON, split_bounds, value
-from rtrace.nodes import KD_NODE, LEAF, Tree, triangle_boxes, words
+from rtrace.nodes import KD_NODE, LEAF, Tree, check_finite, triangle_boxes, words
 from rtrace.sorting import sort
 from traces.errors import NptraceError
 
@@ -80,15 +80,16 @@ def _half_area(boxes, cell):
 
 @kernel
 def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
-    """Return the cheapest plane across one axis, (cost, plane, n_below, n_above), or ``best`` when that is as cheap.
+    """Return the cheapest plane across one axis, (cost, plane), or ``best`` when that is as cheap.
 
     Costs are in intersections x half the cell's area; half a child's area is linear in the position: cap + rim * length.
     ``plane`` is the least event above the plane, so it tells the position and the side of the triangles lying in it.
 
     A plane is tried at *every* event. In a run of events at one position the counts are not final and so too high, never
-    too low: the minimum is that of the final ones, without a branch on the kind of event.
+    too low: the least cost is that of the final ones, without a branch on the kind of event. But counts too high may cost as
+    little, by rounding, so those of the plane found are left to ``_classify``.
     """
-    cost, plane, n_below, n_above = best
+    cost, plane = best
     lo, hi = boxes[6 * cell + axis], boxes[6 * cell + 3 + axis]
     y, z = 6 * cell + (axis + 1) % 3, 6 * cell + (axis + 2) % 3
     dy, dz = boxes[y + 3] - boxes[y], boxes[z + 3] - boxes[z]
@@ -100,7 +101,7 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
     # Only the first and the last plane can leave a child empty.
     trial = empty_bonus * (fixed + (cap + (hi - first) * rim) * n)
     if trial < cost and first > lo:
-        cost, plane, n_below, n_above = trial, (events[axis, begin] & _PLACE) + _PLANAR, below, above
+        cost, plane = trial, (events[axis, begin] & _PLACE) + _PLANAR
     i, stop = np.uint64(begin), np.uint64(end)  # unsigned: no test for a negative index, 15 % of a sweep
     while i < stop:
         event = events[axis, i]
@@ -111,7 +112,7 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
             above -= kind == _END
             trial = fixed + (area_below * below + area_above * above)
             if trial < cost and lo < x < hi:
-                cost, plane, n_below, n_above = trial, (event & _PLACE) + (kind >> 1) + _PLANAR, below, above
+                cost, plane = trial, (event & _PLACE) + (kind >> 1) + _PLANAR
             below += kind == _START
             i += np.uint64(1)
         else:
@@ -122,31 +123,36 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
             # At the cell's border only the flat side is of use: it takes the planar triangles out of the cell.
             trial = fixed + (area_below * (below + planar) + area_above * (above - planar))
             if x < hi and (trial < cost or (trial == cost < best[0] and plane >> 32 == event >> 32)):
-                cost, plane, n_below, n_above = trial, (event & _PLACE) + _START, below + planar, above - planar
+                cost, plane = trial, (event & _PLACE) + _START
             trial = fixed + (area_below * below + area_above * above)
             if trial < cost and x > lo:
-                cost, plane, n_below, n_above = trial, (event & _PLACE) + _PLANAR, below, above
+                cost, plane = trial, (event & _PLACE) + _PLANAR
             below += planar
             above -= planar
     trial = empty_bonus * (fixed + (cap + (last - lo) * rim) * n)
     if last < hi and (trial < cost or (trial == cost < best[0] and plane >> 32 == events[axis, end - 1] >> 32)):
-        cost, plane, n_below, n_above = trial, (events[axis, end - 1] & _PLACE) + _START, below, above
-    return cost, plane, n_below, n_above
+        cost, plane = trial, (events[axis, end - 1] & _PLACE) + _START
+    return cost, plane
 
 
 @kernel
-def _classify(events, axis, begin, end, plane, side):
-    """Write on which side of the plane each triangle of the cell is."""
+def _classify(events, axis, begin, end, plane, n, side):
+    """Write on which side of the plane each of the cell's n triangles is; return how many are on it (below, above)."""
+    n_below, n_above = np.int64(0), n
     i, stop = np.uint64(begin), np.uint64(end)
     while i < stop and events[axis, i] < plane:
         event = events[axis, i]
-        side[np.uint64(event & _TRIANGLE)] = _BOTH if event & _KIND == _START else _BELOW
+        kind = event & _KIND
+        side[np.uint64(event & _TRIANGLE)] = _BOTH if kind == _START else _BELOW
+        n_below += kind != _END
+        n_above -= kind != _START
         i += np.uint64(1)
     while i < stop:
         event = events[axis, i]
         triangle = np.uint64(event & _TRIANGLE)
         side[triangle] = side[triangle] if event & _KIND == _END else _ABOVE
         i += np.uint64(1)
+    return n_below, n_above
 
 
 @kernel
@@ -238,13 +244,15 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         if state[_REFS] + n > prims.size:
             return _OUT_OF_PRIMS
         axis, half_area = np.int64(LEAF), _half_area(boxes, cell)
-        best = (half_area * n, np.int64(0), np.int64(0), np.int64(0))
+        best = (half_area * n, np.int64(0))
         if level < max_level and state[_NODES] < _TRIANGLE and half_area > 0.0 and n > empty_bonus * trav:
             for k in range(3):
                 trial = _sweep(events, k, begin[3 * cell + k], end[3 * cell + k], boxes, cell, n, trav, empty_bonus, best)
                 if trial[0] < best[0]:
                     axis, best = k, trial
-        _, plane, n_below, n_above = best
+        plane, n_below, n_above = best[1], np.int64(0), np.int64(0)
+        if axis != LEAF:
+            n_below, n_above = _classify(events, axis, begin[3 * cell + axis], end[3 * cell + axis], plane, n, side)
         n_refs = state[_PENDING] - n + n_below + n_above
         if axis == LEAF or n_refs > ceiling[cell]:
             n_fresh = _list_triangles(events, begin[3 * cell], end[3 * cell], fresh)
@@ -261,7 +269,6 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
             return _OUT_OF_EVENTS
 
         # The upper child takes the cell's place, the lower one the place above it.
-        _classify(events, axis, begin[3 * cell + axis], end[3 * cell + axis], plane, side)
         n_straddlers = np.int64(0)
         for k in range(3):
             i, j = begin[3 * cell + k], end[3 * cell + k]
@@ -377,9 +384,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         if not is_kept:
             raise NptraceError(f"{name} must be {rule}; got {given}")
     triangles = np.ascontiguousarray(triangles)
-    if not np.isfinite(triangles).all():
-        ends = [triangles.min(axis=(0, 1)).tolist(), triangles.max(axis=(0, 1)).tolist()]
-        raise NptraceError(f"triangles must be finite, got bounds {ends}; drop the triangles with NaN or inf")
+    check_finite(triangles)
     lower, upper = triangle_boxes(triangles)
     bounds = np.stack((lower.min(axis=0), upper.max(axis=0)))
 

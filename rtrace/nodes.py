@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jit import kernel
+from traces.errors import NptraceError
 
 #: Low two bits of ``meta``: the split axis 0, 1, 2 of an inner node, or LEAF. The upper 30 bits are the number of
 #: primitives of a leaf, or, in an inner kd node, the number of its lower child.
@@ -63,6 +64,13 @@ class Tree(NamedTuple):
 def words(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes as one flat float32 and one flat uint32 array over the same memory: 2 (kd) or 8 (BVH) words a node."""
     return tree.nodes.view(np.float32), tree.nodes.view(np.uint32)
+
+
+def check_finite(triangles: np.ndarray) -> None:
+    """Raise NptraceError if a coordinate is NaN or infinite."""
+    if not np.isfinite(triangles).all():
+        ends = [triangles.min(axis=(0, 1)).tolist(), triangles.max(axis=(0, 1)).tolist()]
+        raise NptraceError(f"triangles must be finite, got bounds {ends}; drop the triangles with NaN or inf")
 
 
 def triangle_boxes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

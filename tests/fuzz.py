@@ -19,7 +19,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,6 +37,7 @@ from rtrace.camera import Camera, format_camera, parse_camera, parse_point, pars
 from rtrace.meshfile import SceneError, fan
 from rtrace.scene import load_mesh, scene_from_triangles
 from tests.cache_traces import make_trace, write
+from tests.tree_checks import SCENES, try_scene
 from traces.din import DinTrace
 from traces.format import FILES, METADATA_KEY
 from traces.reader import open_run
@@ -50,6 +51,7 @@ class Target(NamedTuple):
     what: str
     inputs: st.SearchStrategy
     try_input: Callable[[Any], object]
+    least: int = 0  # inputs of the usual 100,000, if more than an equal share
 
 
 @cache
@@ -327,6 +329,7 @@ din_texts = damaged("0 1a2b40\n2 0x10 rest\n", "b ffffffff\r\n", "3 0\n\n").map(
 din_records = st.lists(st.tuples(st.integers(0, (1 << 32) - 1), st.integers(0, 80), st.sampled_from([0, 0, 2, 3, 11, 1, 8])))
 din_binary = din_records.map(lambda records: b"".join(struct.pack("<IHBB", *record, 0) for record in records))
 
+seeds = st.integers(0, 2**48)  # of random triangles; tests/tree_checks.py makes and checks their trees
 policies = st.sampled_from(["lru", "fifo", "random", "opt", "mru", ""])
 sizes = ("8K", "512", "64KiB", "1M", "0", "3G")
 ways = ("1", "2", "full", "16", "3")
@@ -358,6 +361,7 @@ TARGETS = [
         ),
         try_footer,
     ),
+    *(Target(f"trees of {kind}", seeds, partial(try_scene, kind), least=17_000) for kind in SCENES),
     Target("DineroIV traces", din_texts | din_binary | st.binary(max_size=60), try_din),
 ]
 
@@ -399,7 +403,8 @@ def main() -> None:
         began, tried = time.perf_counter(), Counter[bool]()
         try:
             for turn in range(100):  # a run of hypothesis ends early where inputs begin to repeat
-                missing = math.ceil(args.n / len(TARGETS)) - tried.total()
+                share = max(math.ceil(args.n / len(TARGETS)), args.n * target.least // 100_000)
+                missing = share - tried.total()
                 if missing > 0:
                     tried += run(target, missing, args.seed + 1000 * turn)
         except Exception:

@@ -27,7 +27,7 @@ MUTATIONS = [
     Mutation("kd-tree: triangles that end at a plane count above it", KT, "above -= kind == _END", "above -= 0", KD),
     Mutation("kd-tree: triangles that start do not count below", KT, "below += kind == _START", "below += 0", KD),
     Mutation("kd-tree: one planar triangle of a run counts", KT, "planar += 1\n", "planar = np.int64(1)\n", KD),
-    Mutation("kd-tree: straddlers stay below", KT, "_BOTH if event & _KIND == _START else _BELOW", "_BELOW", KD),
+    Mutation("kd-tree: straddlers stay below", KT, "_BOTH if kind == _START else _BELOW", "_BELOW", KD),
     Mutation("kd-tree: what ends above the plane is taken above", KT, "side[triangle] if event & _KIND == _END else _ABOVE", "_ABOVE", KD),
     Mutation("kd-tree: straddlers keep their upper bound", KT, "            if kind != _START:\n                bounds[at + 3] = event >> 32", "            if kind == _PLANAR:\n                bounds[at + 3] = event >> 32", KD),
     Mutation("kd-tree: a part that has become flat keeps two events", KT, "n += 0 if flat and kind == _END else 1", "n += 1", KD),

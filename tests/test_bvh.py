@@ -219,6 +219,8 @@ def test_hard_inputs_end(builder):
         (np.zeros((4, 3, 3)), "sweep", "float32"),
         (np.zeros((4, 9), np.float32), "sweep", r"\(n, 3, 3\)"),
         (np.zeros((4, 3, 3), np.float32), "median", "'sweep' or 'binned'"),
+        (np.full((4, 3, 3), np.nan, np.float32), "sweep", "must be finite"),
+        (np.full((4, 3, 3), np.inf, np.float32), "binned", "must be finite"),
     ],
 )
 def test_bad_arguments_are_named(triangles, builder, words):
