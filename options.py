@@ -1,5 +1,6 @@
 """What the commands share: options, their types and their errors, progress on stderr, files that appear whole."""
 
+import io
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +30,12 @@ class Commands(click.Group):
         if not args:
             compiling.announce = lambda text: click.echo(text, err=True)
         return super().__call__(*args, **kwargs)
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Parse and run; a name that stdout cannot write, because it is no text or not ASCII, appears with escapes."""
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")
+        return super().main(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""

@@ -34,7 +34,8 @@ def write(rows: Sequence[Row], path: Path) -> None:
         dicts = [row.to_dict() for row in rows]
         types_of = {str: pa.string(), int: pa.int64()}  # the others are rates, and may be None
         fields = [pa.field(name, types_of.get(type(value), pa.float64())) for name, value in dicts[0].items()]
-        pq.write_table(pa.Table.from_pylist(dicts, pa.schema(fields)), temporary)
+        with open(temporary, "wb") as file:  # by Python: Arrow opens only names that are UTF-8
+            pq.write_table(pa.Table.from_pylist(dicts, pa.schema(fields)), file)
 
 
 @contextmanager

@@ -62,8 +62,9 @@ class _Table:
         self._n_pending = 0
         self._thread = ThreadPoolExecutor(1)
         self._waiting: deque[Future[None]] = deque()
+        self._file = path.open("wb")  # by Python: Arrow opens only names that are UTF-8
         self._writer = pq.ParquetWriter(
-            path, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
+            self._file, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
         )
 
     def append(self, columns: Columns | Callable[[], Columns]) -> None:
@@ -106,12 +107,15 @@ class _Table:
         self._thread.shutdown()
         self._writer.add_key_value_metadata({METADATA_KEY: metadata})
         self._writer.close()
+        self._file.close()
 
     def abandon(self) -> None:
         """Close the file handle and ignore what it says: the file is about to be deleted."""
         self._thread.shutdown(cancel_futures=True)
         with suppress(OSError, pa.ArrowException):
             self._writer.close()
+        with suppress(OSError):
+            self._file.close()
 
 
 class RunWriter:
