@@ -139,11 +139,12 @@ def render(
         click.echo(json.dumps([run._asdict() for run in runs], indent=2))
         return
     from cachesim.text import Table, number, percent, print_tables
+    from traces.format import printable
 
     header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Pre-fetches"]
     rows = [
         [
-            run.path, number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),
+            printable(run.path), number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),
             number(run.n_shadow_rays), percent(run.shadowed_share, 1), number(run.n_accesses), number(run.accesses_per_ray, 1),
             number(run.n_prefetches),
         ]
@@ -262,12 +263,14 @@ def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | Non
     dineroIV -informat d -l1-usize 8k -l1-ubsize 32 -l1-uassoc 2 < bunny-bvh.din
     """
     from traces.din import export_din
+    from traces.format import printable
     from traces.reader import open_run
 
     opened = open_run(run)
     target = output or Path(f"{opened.name}.{form}")
-    written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch)
-    click.echo(f"{target}: {written:,} accesses", err=True)
+    form_of = "binary" if binary else "text"
+    written = export_din(opened, target, fmt=form_of, prefetch=prefetch, warn=lambda text: click.echo(text, err=True))
+    click.echo(f"{printable(str(target))}: {written:,} accesses", err=True)
 
 
 @nptrace.command(name="compile")
@@ -287,7 +290,7 @@ def npcache() -> None:
 
 
 @npcache.command()
-@click.argument("sources", metavar="[RUN | FILE.din]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
 @list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Ways, e.g. 1,2,full.")
@@ -299,11 +302,11 @@ def npcache() -> None:
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
-@click.option("--report", type=click.Choice(["table", "dinero", "json", "csv"]), default="table", show_default=True)
+@click.option("--report", type=click.Choice(["table", "dinero", "json", "csv"]), show_default="table")
 @click.option("--json", "as_json", is_flag=True, help="The same as --report json.")
 def replay(
     sources: tuple[Path, ...], folder: Path, size: list[int], assoc: list[str], line: list[int], policy: list[str], seed: int,
-    prefetch: list[str], layout: list[str], three_c: bool, report: str, as_json: bool,
+    prefetch: list[str], layout: list[str], three_c: bool, report: str | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Replay runs, or DineroIV traces, through every combination of the cache options, exactly.
 
@@ -317,6 +320,7 @@ def replay(
     from cachesim.replay import replay as replay_source
     from cachesim.source import open_source
 
+    form = one_form("--report", report, as_json)
     configs = [
         CacheConfig(one_size, parse_ways(ways, one_size, one_line), one_line, one_policy, seed)
         for one_line in line for one_policy in policy for one_size in size for ways in assoc
@@ -326,10 +330,18 @@ def replay(
     for path in sources or default_sources(folder):
         for one_layout in layouts:
             source = open_source(path, one_layout)
+            source.check_passes(len(policies))
             for one_prefetch in policies:
                 with progress_bar("replay", source.n_events) as progress:
                     results += replay_source(source, configs, prefetch=one_prefetch, three_c=three_c, progress=progress)
-    print_results(results, "json" if as_json else report)
+    print_results(results, form)
+
+
+def one_form(option: str, form: str | None, as_json: bool) -> str:
+    """Return the form that an option and --json ask for, the table if none; they must not differ."""
+    if as_json and form not in (None, "json"):
+        raise BadInput(f"{option} {form} and --json ask for two forms; leave one out")
+    return "json" if as_json else form or "table"
 
 
 def default_sources(folder: Path) -> list[Path]:
@@ -355,7 +367,7 @@ def print_results(results: "list[Result]", report: str) -> None:
 
 
 @npcache.command()
-@click.argument("sources", metavar="[RUN | FILE.din]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @list_option("--size", item=str, metavar="SIZES", default="4K..64K", help="Cache sizes and ranges, e.g. 4K..64K,96K.")
 @list_option("--ways", "--assoc", item=str, metavar="WAYS", default="1..16", help="Ways and ranges, e.g. 1..16,full.")
@@ -391,6 +403,7 @@ def sweep(
     for path in sources or default_sources(folder):
         for one_layout in layout:
             source = open_source(path, one_layout)
+            source.check_passes(len(prefetch))
             for one_prefetch in prefetch:
                 with progress_bar("sweep", source.n_events) as progress:
                     rows += sweeping.sweep(source, configs, prefetch=one_prefetch, threads=threads, progress=progress)
@@ -492,11 +505,11 @@ def estimate(
     "--pixels", default="2048x2048", show_default=True, metavar="WxH", help="With --target-error: size of the picture."
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: of the sample.")
-@click.option("--format", "form", type=click.Choice(FORMATS), default=FORMATS[0], show_default=True)
+@click.option("--format", "form", type=click.Choice(FORMATS), show_default=FORMATS[0])
 @click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
 @output_option("-o", "--output", help="Write to a file instead of stdout.")
 def table1(
-    folder: Path, error: str | None, pixels: str, seed: int, form: str, as_json: bool, output: Path | None
+    folder: Path, error: str | None, pixels: str, seed: int, form: str | None, as_json: bool, output: Path | None
 ) -> None:  # fmt: skip
     """Print Table I of the paper beside ours, for the runs there are, or estimated for large pictures.
 
@@ -510,8 +523,9 @@ def table1(
     from cachesim import table1_text
     from traces.reader import open_run
 
+    form = one_form("--format", form, as_json)
     if error is not None:
-        estimated_table1(error, pixels, seed, "json" if as_json else form, output)
+        estimated_table1(error, pixels, seed, form, output)
         return
     runs: list[Run] = [open_run(path) for path in default_sources(folder)]
     chosen = table.choose_runs(runs)
@@ -522,7 +536,7 @@ def table1(
     for tree, scene in table.missing(chosen):
         click.echo(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}", err=True)
     tables, notes = table1_text.tables(rows), table1_text.notes(rows)
-    if as_json or form == "json":
+    if form == "json":
         write_out(json.dumps(table.to_dicts(rows), indent=2) + "\n", output)
     elif form == "csv":
         write_out(table.to_csv(rows), output)

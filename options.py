@@ -59,18 +59,22 @@ class Commands(click.Group):
     """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        """Run as a program: what takes long the first time is said, names are printed as they are, Ctrl-C ends it quietly."""
+        """Run as a program: a message announces compiling, Ctrl-C ends it quietly."""
         if args:
             return super().__call__(*args, **kwargs)
         compiling.announce = lambda text: click.echo(text, err=True)
-        if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(errors="surrogateescape")  # the name of a file may be no text
         interrupt = Interrupt()
         try:
             return super().__call__(**kwargs)
         finally:
             if interrupt.is_seen:
                 os._exit(INTERRUPTED)  # threads may be busy for seconds; what they wrote is deleted by now
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Parse and run; a name that stdout cannot write, because it is no text or not ASCII, appears with escapes."""
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")
+        return super().main(*args, **kwargs)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""

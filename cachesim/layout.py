@@ -68,17 +68,21 @@ def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout |
     """
     if isinstance(layout, str):
         layout = parse_layout(layout)
-    level = nodes["level"]
     if layout.name == "stored":
-        slots = np.arange(level.size, dtype=np.int64)
-    elif layout.name == "bfs":
-        slots = _positions(np.argsort(level, kind="stable"))
+        return stored_addresses(nodes["level"].size, node_bytes, layout)
+    if layout.name == "bfs":
+        slots = _positions(np.argsort(nodes["level"], kind="stable"))
     elif layout.name == "dfs":
-        slots = np.empty(level.size, np.int64)
-        dfs_slots(first_children(_parents(nodes)), np.empty(2 * int(level.max()) + 2, np.int64), slots)
+        slots = np.empty(nodes["parent"].size, np.int64)
+        dfs_slots(first_children(_parents(nodes)), np.empty(slots.size + 1, np.int64), slots)
     else:
         slots = _pair_slots(_parents(nodes), node_bytes, layout)
     return layout.base + node_bytes * slots
+
+
+def stored_addresses(n_nodes: int, node_bytes: int, layout: Layout) -> np.ndarray:
+    """Return the byte address of every node of a tree that lies as numbered, (n_nodes,) int64."""
+    return layout.base + node_bytes * np.arange(n_nodes, dtype=np.int64)
 
 
 def _parents(nodes: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -86,8 +90,9 @@ def _parents(nodes: Mapping[str, np.ndarray]) -> np.ndarray:
     parents = np.ascontiguousarray(nodes["parent"], np.int64)
     lower, upper = parents[1::2], parents[2::2]
     numbers = np.arange(1, parents.size, 2)
-    if parents.size % 2 == 0 or (lower != upper).any() or (lower < 0).any() or (lower >= numbers).any():
-        raise NptraceError("nodes.parquet is not a tree of sibling pairs (1, 2), (3, 4) ...; render the run again")
+    is_wrong = parents.size % 2 == 0 or (lower != upper).any() or (lower < 0).any() or (lower >= numbers).any()
+    if is_wrong or np.bincount(lower, minlength=1).max() > 1:
+        raise NptraceError("the nodes are not a tree of sibling pairs (1, 2), (3, 4) ..., each of one parent; render it again")
     return parents
 
 

@@ -105,9 +105,14 @@ class StackReplay:
         In a kd-tree the row after a read (kind 0) is the child followed; in a BVH it is popped.
     n_prims, level : (n_nodes,) array
         Columns of ``nodes.parquet``.
+    where : str
+        What the rows are read from, for errors.
     """
 
-    def __init__(self, policy: Prefetch, is_kd: bool, n_prims: np.ndarray, level: np.ndarray) -> None:
+    def __init__(
+        self, policy: Prefetch, is_kd: bool, n_prims: np.ndarray, level: np.ndarray, where: str = "accesses.parquet"
+    ) -> None:
+        self._where, self._n_rows = where, 0
         self._policy = policy
         self._is_kd = is_kd
         self._n_prims = np.ascontiguousarray(n_prims, np.uint32)
@@ -133,10 +138,11 @@ class StackReplay:
             )  # fmt: skip
             if is_bad:
                 raise NptraceError(
-                    f"node {nodes[start]} (row {start} of its row group) does not follow from the rows before it; "
-                    "the trace and its tree do not belong together, render the run again"
+                    f"{self._where}, column 'node', row {self._n_rows + start}: {nodes[start]} does not follow from the rows "
+                    "before it, as a node of a traversal does; render the run again"
                 )
             pieces.append((out[:n], labels[:n]))
+        self._n_rows += nodes.size
         if len(pieces) == 1:
             return pieces[0]
         return np.concatenate([p[0] for p in pieces] or [nodes]), np.concatenate([p[1] for p in pieces] or [kinds])
@@ -175,9 +181,9 @@ def rebuild(
             sp += 1
             pp = sp
         elif last_kind == KIND_LEAF or not is_kd:
-            # A kd-tree skips entries that begin beyond the nearest hit: popped, but not read.
+            # A kd-tree skips entries that begin beyond the nearest hit: popped, but not read. A BVH reads all it pops.
             while sp > 0 and stack[sp - 1] != node:
-                sp -= 1
+                sp = sp - 1 if is_kd else np.int64(0)
             if sp == 0:
                 is_bad = True
                 break

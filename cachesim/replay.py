@@ -263,6 +263,7 @@ def replay(
     foreseeing = [group for group in groups if group.needs_future]
     if foreseeing:
         check_foreseeable(prefetch)
+        source.check_passes(2)
         for events, labels in source.events(prefetch):
             for group in foreseeing:
                 group.look_ahead(events, labels)

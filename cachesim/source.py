@@ -9,12 +9,13 @@ import numpy as np
 from cachesim.dense import DenseIds
 from cachesim.exact import PREFETCH
 from cachesim.filter import DirectFilter
-from cachesim.layout import Layout, addresses, parse_layout
+from cachesim.layout import Layout, addresses, parse_layout, stored_addresses
 from cachesim.prefetch import KIND_PREFETCH, REQUEST, Prefetch, StackReplay
 from jit import kernel
 from traces.din import DinTrace
 from traces.errors import NptraceError
 from traces.reader import Run, open_run
+from traces.stream import STDIN
 
 #: Events handed on at a time: their arrays stay in a core's share of the last-level cache.
 BATCH = 1 << 18
@@ -53,14 +54,17 @@ class Source(Protocol):
     def events(self, prefetch: Prefetch) -> Iterator[tuple[Any, np.ndarray]]:
         """Yield batches of (events, labels): what ``Lines`` takes."""
 
+    def check_passes(self, n_passes: int) -> None:
+        """Raise a ValueError if ``events`` cannot be asked for so many times."""
+
     def lines(self, line_bytes: int, ahead: int) -> Lines:
         """Return the lines of this source for one line size; a pre-fetcher may go ``ahead`` lines beyond an access."""
 
 
 def open_source(path: Path | str, layout: Layout | str = "stored") -> Source:
-    """Open a run's directory or a DineroIV trace."""
+    """Open a run's directory, or a DineroIV trace: a file, a pipe, or - for stdin."""
     path = Path(path)
-    if path.is_file() or path.suffix == ".din":
+    if not path.is_dir() and (path == STDIN or path.exists() or path.suffix == ".din"):
         return DinSource(DinTrace(path), layout)
     return RunSource(open_run(path), layout)
 
@@ -76,16 +80,12 @@ class Footer(NamedTuple):
 
 def read_footer(run: Run) -> Footer:
     """Return a run's tree and scene; a ValueError when its footer lacks one of them."""
+    kind, node_bytes = run.tree
     try:
-        tree, scene = run.metadata["tree"], run.metadata["scene"]
-        footer = Footer(str(tree["kind"]), int(tree["node_bytes"]), str(scene["name"]).lower(), bool(scene["stand_in"]))
+        scene = run.metadata["scene"]
+        return Footer(kind, node_bytes, str(scene["name"]).lower(), bool(scene["stand_in"]))
     except (KeyError, TypeError, ValueError) as e:
-        raise NptraceError(f"{run.path} says too little about its tree and scene ({e} in its footer); render it again") from e
-    if footer.tree not in ("kdtree", "bvh") or footer.node_bytes < 1:
-        raise NptraceError(
-            f"{run.path} is of a {footer.tree!r} of {footer.node_bytes}-byte nodes; only kdtree and bvh are known"
-        )
-    return footer
+        raise NptraceError(f"{run.path} says too little about its scene ({e} in its footer); render it again") from e
 
 
 class RunSource:
@@ -99,20 +99,18 @@ class RunSource:
         self.n_rays: int | None = int(run.metadata["n_rays"])
         self.n_events: int | None = run.n_accesses
         self._is_kd, self._node_bytes = facts.tree == "kdtree", facts.node_bytes
-        nodes = run.columns("nodes", ["level"] if self.layout.name == "stored" else ["level", "parent"])
-        self._addresses = addresses(nodes, self._node_bytes, self.layout)
+        if self.layout.name == "stored":
+            self._addresses = stored_addresses(run.n_nodes, self._node_bytes, self.layout)
+        else:
+            self._addresses = addresses(run.columns("nodes", ["level", "parent"]), self._node_bytes, self.layout)
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield (node, label) batches, each a part of one row group."""
+        """Yield (node, label) batches; the reader has checked that the nodes are the tree's."""
         unit = None
         if prefetch.kind == "stack":
-            unit = StackReplay(prefetch, self._is_kd, **self.run.columns("nodes", ["n_prims", "level"]))
+            where = str(self.run.path / "accesses.parquet")
+            unit = StackReplay(prefetch, self._is_kd, **self.run.columns("nodes", ["n_prims", "level"]), where=where)
         for group_nodes, group_kinds in self.run.batches():
-            highest = int(group_nodes.max(initial=0))
-            if highest >= self._addresses.size:
-                raise NptraceError(
-                    f"{self.run.path} reads node {highest} of a tree of {self._addresses.size}; render the run again"
-                )
             for start in range(0, group_nodes.size, BATCH):
                 nodes, kinds = group_nodes[start : start + BATCH], group_kinds[start : start + BATCH]
                 if unit is not None:
@@ -123,6 +121,9 @@ class RunSource:
                     demand = np.empty(nodes.size, np.uint32)
                     demand = demand[: demand_rows(nodes, kinds, demand)]
                     yield demand, np.zeros(demand.size, np.uint8)
+
+    def check_passes(self, n_passes: int) -> None:
+        """Do nothing: a run can be read again and again."""
 
     def lines(self, line_bytes: int, ahead: int) -> "NodeLines":
         """Return the lines of the nodes."""
@@ -170,15 +171,17 @@ class DinSource:
     def __init__(self, trace: DinTrace, layout: Layout | str = "stored") -> None:
         self.layout = parse_layout(layout) if isinstance(layout, str) else layout
         if self.layout != Layout("stored"):
-            raise NptraceError(f"{trace.path} has addresses, not nodes, so it cannot be laid out as {self.layout}; use stored")
+            raise NptraceError(
+                f"{trace.stream.where} has addresses, not nodes, so it cannot be laid out as {self.layout}; use stored"
+            )
         self.trace = trace
-        self.name = trace.path.name
+        self.name = trace.stream.name
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[tuple[np.ndarray, np.ndarray | int], np.ndarray]]:
         """Yield ((address, size), label) batches."""
         if prefetch.kind == "stack":
             raise NptraceError(
-                f"{self.trace.path} has addresses, not pushes, so no stack can be rebuilt for {prefetch}; "
+                f"{self.trace.stream.where} has addresses, not pushes, so no stack can be rebuilt for {prefetch}; "
                 "use traced, none or next-line, or replay the run itself"
             )
         for address, size, labels in self.trace.batches():
@@ -187,6 +190,10 @@ class DinSource:
                 size = size if isinstance(size, int) else size[is_demand]
                 address, labels = address[is_demand], labels[is_demand]
             yield (address, size), labels
+
+    def check_passes(self, n_passes: int) -> None:
+        """Raise a StreamError if the trace comes from a pipe and is to be read more than once."""
+        self.trace.stream.check_passes(n_passes)
 
     def lines(self, line_bytes: int, ahead: int) -> "AddressLines":
         """Return the lines of the addresses."""
@@ -209,8 +216,7 @@ class AddressLines:
         """Return the accesses of reads at addresses."""
         address, size = events
         first = address // np.uint32(self._line_bytes)
-        last_byte = np.minimum(address + (np.asarray(size, np.int64) - 1), (1 << 32) - 1)
-        last = (last_byte // self._line_bytes).astype(np.uint32)
+        last = (address + (np.asarray(size, np.uint32) - np.uint32(1))) // np.uint32(self._line_bytes)  # below 2^32, checked
         return (first, labels) if np.array_equal(first, last) else split(first, last, labels)
 
     def counted(

@@ -124,8 +124,8 @@ def write(trace, path, repeat=1, scene="bunny", stand_in=False):
             ids = turn * trace.n_rays + np.arange(trace.n_rays)
             run.append("accesses", {"ray": rays + turn * trace.n_rays, "node": nodes, "kind": kinds})
             run.append("rays", {
-                "ray": ids, "x": np.zeros_like(ids), "y": ids % 65536, "type": types, "first": first, "count": counts,
-                "prim": np.full(ids.size, -1), "t": np.full(ids.size, np.inf),
+                "ray": ids, "x": np.zeros_like(ids), "y": (ids - ids[0]) % 65536, "type": types, "first": first,
+                "count": counts, "prim": np.full(ids.size, -1), "t": np.full(ids.size, np.inf),
             })  # fmt: skip
         run.image(b"")
     return open_run(path)

@@ -8,6 +8,8 @@ their lines of FILE change.
 
 import argparse
 import contextlib
+import faulthandler
+import importlib
 import json
 import math
 import re
@@ -24,6 +26,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
@@ -31,14 +34,16 @@ from cachesim.config import CacheConfig, format_bytes, parse_bytes, parse_ways
 from cachesim.layout import addresses, parse_layout
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
-from cachesim.sweep import grid, parse_range, parse_ways_range
+from cachesim.sweep import grid, parse_range, parse_ways_range, sweep
 from options import BadInput, parse_kd
 from rtrace.camera import Camera, format_camera, parse_camera, parse_point, parse_size
 from rtrace.meshfile import SceneError, fan
 from rtrace.scene import load_mesh, scene_from_triangles
+from tests.cache_reference import Cache
 from tests.cache_traces import make_trace, write
+from tests.run_values import SCHEMAS, is_as_good, legal_events, mutate
 from tests.tree_checks import SCENES, try_scene
-from traces.din import DinTrace
+from traces.din import DinTrace, export_din
 from traces.format import FILES, METADATA_KEY
 from traces.reader import open_run
 
@@ -317,6 +322,42 @@ def try_footer(value: tuple[dict[str, Any], list[str], object]) -> None:
     open_and_replay(path)
 
 
+def try_run_values(seed_of: int) -> None:
+    """A run with other values, types, columns, rows or row groups is counted as a slow reading counts it, or refused."""
+    path = scratch() / "values"
+    run = mutate(seed_of, path, scratch())
+    node_bytes, config = 8 if run.kind == "kdtree" else 32, CacheConfig(256, 2, 32)
+    accepted = False
+    for prefetch in ("traced", "stack:budget=2"):
+        wanted = legal_events(run, prefetch)
+        try:
+            [result] = replay(path, [config], prefetch=prefetch, threads=1)
+        except REFUSED:
+            assert not (wanted is not None and is_as_good(run)), f"a good run was refused: {run.what}"
+            if prefetch == "traced":
+                raise
+            continue
+        assert wanted is not None, f"a bad run was counted: {run.what}"
+        accepted = True
+        model = Cache(config).replay([(node * node_bytes // 32, 11 if is_request else 0) for node, is_request in wanted])
+        assert result.accesses.tolist() == model.counts["accesses"] and result.misses.tolist() == model.counts["misses"]
+    assert accepted
+    wanted = legal_events(run, "traced")
+    assert wanted is not None
+    for layout in ("bfs", "dfs", "veb", "treelet:64"):
+        [result] = replay(path, [config], layout=layout, threads=1)
+        assert result.demand_accesses + result.prefetch_accesses == len(wanted)
+    [row] = sweep(path, [config], threads=1)
+    assert row.demand_accesses + row.prefetch_accesses == len(wanted)
+    with contextlib.suppress(*REFUSED):  # it reads the addresses too, and they may be wrong
+        export_din(open_run(path), scratch() / "values.din")
+        text = "".join(f"{'b' if is_request else '0'} {node_bytes * node:x}\n" for node, is_request in wanted)
+        assert (scratch() / "values.din").read_text() == text
+    for table in SCHEMAS:
+        with contextlib.suppress(*REFUSED):
+            open_run(path).columns(table)
+
+
 def try_din(data: bytes) -> None:
     path = scratch() / "x.din"
     path.write_bytes(data)
@@ -325,11 +366,48 @@ def try_din(data: bytes) -> None:
     assert result.demand_accesses + result.prefetch_accesses == n + result.n_splits
 
 
+def try_disguised_din(value: tuple[bytes, str, list[tuple[int, int, int]], bytes]) -> None:
+    """A trace that is packed, or in another encoding, reads as the plain one; damaged, it is refused or reads as a part."""
+    data, dress, cuts, junk = value
+    plain, path = scratch() / "plain.din", scratch() / "dressed.din"
+    plain.write_bytes(data)
+    path.write_bytes(spliced(dressed(data, dress), junk, cuts))
+    assert cuts or listed(plain) == listed(path)
+    listed(path)
+
+
+def listed(path: Path) -> list[tuple[int, int, int]]:
+    """Return (address, size, label) of every access of a trace."""
+    batches = DinTrace(path).batches()
+    return [
+        row for a, s, b in batches for row in zip(a.tolist(), np.broadcast_to(s, a.shape).tolist(), b.tolist(), strict=True)
+    ]
+
+
+def dressed(data: bytes, dress: str) -> bytes:
+    """Return a trace in another form."""
+    if dress in ("zstd", "lz4"):
+        sink = pa.BufferOutputStream()
+        with pa.CompressedOutputStream(sink, dress) as packed:
+            packed.write(data)
+        return sink.getvalue().to_pybytes()
+    if dress in ("gzip", "bz2", "lzma"):
+        return importlib.import_module(dress).compress(data)
+    if dress == "cr":
+        return data.replace(b"\r\n", b"\n").replace(b"\n", b"\r")
+    return data.decode("latin-1").encode(dress)
+
+
 din_texts = damaged("0 1a2b40\n2 0x10 rest\n", "b ffffffff\r\n", "3 0\n\n").map(lambda text: text.encode("utf-8", "replace"))
 din_records = st.lists(st.tuples(st.integers(0, (1 << 32) - 1), st.integers(0, 80), st.sampled_from([0, 0, 2, 3, 11, 1, 8])))
 din_binary = din_records.map(lambda records: b"".join(struct.pack("<IHBB", *record, 0) for record in records))
 
 seeds = st.integers(0, 2**48)  # of random triangles; tests/tree_checks.py makes and checks their trees
+din_plain = din_texts.map(lambda text: text.decode("ascii", "ignore").encode()) | din_texts.map(lambda _: b"0 1a2b40\nb 20\n")
+dresses = st.sampled_from(
+    ["gzip", "bz2", "lzma", "zstd", "lz4", "cr", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32"]
+)
+
 policies = st.sampled_from(["lru", "fifo", "random", "opt", "mru", ""])
 sizes = ("8K", "512", "64KiB", "1M", "0", "3G")
 ways = ("1", "2", "full", "16", "3")
@@ -362,7 +440,13 @@ TARGETS = [
         try_footer,
     ),
     *(Target(f"trees of {kind}", seeds, partial(try_scene, kind), least=17_000) for kind in SCENES),
+    Target("runs with other values", st.integers(0, 1 << 48), try_run_values),
     Target("DineroIV traces", din_texts | din_binary | st.binary(max_size=60), try_din),
+    Target(
+        "DineroIV traces in disguise",
+        st.tuples(din_plain, dresses, st.just([]) | cuts, st.binary(max_size=8)),
+        try_disguised_din,
+    ),
 ]
 
 
@@ -392,6 +476,7 @@ def main() -> None:
     parser.add_argument("-s", "--seed", type=int, default=0)
     parser.add_argument("-o", type=Path, help="write the counts as JSON")
     args = parser.parse_args()
+    faulthandler.enable()  # a crash of the process is a failure too, and says where
     resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))  # an input that asks for more is a failure, not the end of all
     rows: dict[str, dict[str, Any]] = {}
     if args.words and args.o is not None and args.o.exists():

@@ -35,6 +35,9 @@ class Listed:
         edges = [0, *sorted(cuts), len(accesses)]
         self.batches = [accesses[a:b] for a, b in pairwise(edges)]
 
+    def check_passes(self, n_passes):
+        pass
+
     def events(self, prefetch):
         for batch in self.batches:
             kept = [event for event in batch if prefetch.kind == "traced" or event[2] < 8]

@@ -14,6 +14,7 @@ from cachesim.replay import replay
 from tests.cache_traces import make_trace, write
 from traces import din
 from traces.din import DinError, DinTrace, export_din
+from traces.stream import StreamError
 
 
 def read(path):
@@ -39,6 +40,8 @@ DRESSES = (
     "{1:X} {0:X}\n",
     "  {1:x}\t0x{0:x}  \r\n",
     "0{1:x} 0X{0:08x} # why\n",
+    "0X{1:x} {0:x}\r",
+    "0x{1:x} {0:x}\r\r\n",
     "\n{1:x} {0:x}\n \n",
 )
 
@@ -58,10 +61,15 @@ def test_text_in_any_dress_and_any_chunks(tmp_path_factory, trace, dress, chunk)
     ("text", "message"),
     [
         ("0 10\n1 14\n", "x.din, line 2: label 1 is a write, and nodes are read-only; labels are 0 (read), 2"),
-        ("0 10\n\n4 14\n", "line 3: label 4 is unknown"),
+        ("0 10\n\n4 14\n", "line 3: label 4 is a copy-back, and nodes are read-only"),
         ("8 10\n", "line 1: label 8 is DineroIV's end mark"),
         ("0 10\n# comment\n", "line 2: label # is not hexadecimal"),
-        ("r 10 4\n", "line 1: label r is not hexadecimal"),
+        ("r 10 4\n", "line 1: label r is of DineroIV's extended format (-informat D), which is not read"),
+        ("c 10 4\n", "line 1: label c is of DineroIV's extended format"),
+        ("5 10\n", "line 1: label 5 is an invalidation, and nothing invalidates nodes"),
+        ("s 10\n", "line 1: label s is not hexadecimal"),
+        ("0x 10\n", "line 1: label 0x is not hexadecimal"),
+        ("0xc 10\n", "line 1: label 0xc is unknown"),
         ("0\n", "line 1: the address is missing; write `label address`, as in `0 1a2b40`"),
         ("0 xyz\n", "line 1: 'xyz' is not a hexadecimal address"),
         ("0 12g4\n", "line 1: '12g4' is not a hexadecimal address"),
@@ -97,18 +105,19 @@ def test_an_empty_trace(tmp_path, text):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(DinError, match=r"cannot read .*no\.din: No such file"):
+    with pytest.raises(StreamError, match=r"cannot read .*no\.din: No such file"):
         DinTrace(tmp_path / "no.din")
 
 
 def test_a_file_without_lines(tmp_path, monkeypatch):
     monkeypatch.setattr(din, "_CHUNK_BYTES", 64)
-    with pytest.raises(DinError, match="has no end; this is not a trace"):
+    with pytest.raises(DinError, match="has no end within 64 B; this is not a trace"):
         read(text_of(tmp_path, "a" * 1000))
 
 
 @given(st.lists(st.tuples(st.integers(0, (1 << 32) - 1), st.integers(1, 65535), st.sampled_from(din.LABELS)), min_size=1))
 def test_binary(tmp_path_factory, records):
+    records = [(min(address, (1 << 32) - size), size, label) for address, size, label in records]
     path = tmp_path_factory.mktemp("din") / "x.bin"
     path.write_bytes(b"".join(struct.pack("<IHBB", *record, 0) for record in records))
     assert read(path) == records
@@ -120,6 +129,12 @@ def test_binary(tmp_path_factory, records):
         (struct.pack("<IHBB", 16, 4, 0, 0) * 2 + b"\0\0\0", "is cut off: its size is not a whole number of 8-byte records"),
         (struct.pack("<IHBB", 16, 4, 0, 0) + struct.pack("<IHBB", 16, 4, 1, 0), "record 2: label 1 is a write"),
         (struct.pack("<IHBB", 16, 0, 0, 0), "record 1: a size of 0 B reads nothing"),
+        (
+            struct.pack("<IHBB", 16, 4, 0, 0) + struct.pack("<IHBB", 0xFFFFFFFC, 5, 0, 0),
+            "record 2: 5 B at fffffffc reach past 2^32, where DineroIV goes on at 0; rebase the trace, or split",
+        ),
+        (struct.pack("<IHBB", 16, 4, 4, 0), "record 1: label 4 is a copy-back, and nodes are read-only"),
+        (struct.pack("<IHBB", 16, 4, 12, 0), "record 1: label c is unknown"),
     ],
 )
 def test_what_binary_is_refused(tmp_path, data, message):

@@ -28,10 +28,12 @@ def tables(n_accesses=5):
         "prim": np.array([7, -1], np.int32),
         "t": np.array([1.5, np.inf], np.float32),
     }
+    visited = rng.integers(0, 3, n_accesses)
+    kinds = np.where(visited > 0, rng.choice([2, 3], n_accesses), rng.choice([0, 1, 3], n_accesses))
     accesses = {
         "ray": np.repeat(np.arange(2, dtype=np.uint32), rays["count"]),
-        "node": rng.integers(0, 3, n_accesses).astype(np.uint32),
-        "kind": rng.integers(0, 4, n_accesses).astype(np.uint8),
+        "node": visited.astype(np.uint32),
+        "kind": kinds.astype(np.uint8),
     }
     nodes = {
         "node": np.arange(3, dtype=np.uint32),
@@ -45,9 +47,12 @@ def tables(n_accesses=5):
     return {"rays": rays, "accesses": accesses, "nodes": nodes}
 
 
+TREE = {"kind": "kdtree", "node_bytes": 8}
+
+
 def write(path, n_accesses=5, pieces=1, **metadata):
     data = tables(n_accesses)
-    with RunWriter(path, {"scene": {"name": "test"}, **metadata}, SPLIT) as run:
+    with RunWriter(path, {"scene": {"name": "test"}, "tree": TREE, **metadata}, SPLIT) as run:
         run.append("rays", data["rays"])
         run.append("nodes", data["nodes"])
         for piece in np.array_split(np.arange(n_accesses), pieces):
@@ -87,7 +92,7 @@ def test_row_groups_and_bytes_do_not_depend_on_the_pieces(tmp_path, monkeypatch)
 
 def test_an_empty_trace_is_a_run(tmp_path):
     data = tables(2)
-    with RunWriter(tmp_path / "empty", {}, SPLIT) as run:
+    with RunWriter(tmp_path / "empty", {"tree": TREE}, SPLIT) as run:
         run.append("nodes", data["nodes"])
         run.image(b"")
     assert open_run(tmp_path / "empty").n_accesses == 0

@@ -2,22 +2,24 @@
 
 Text (its input format ``d``) is one access a line, ``label address`` in hexadecimal, 0x allowed; whatever follows on the line
 is ignored. Binary (format ``b``) is records of eight bytes: address uint32, size uint16, label uint8, one byte unused, little
-endian. As DineroIV does, a text access is taken as 4 bytes at ``address & ~3``. Unlike DineroIV, blank lines and CRLF are
-allowed, and an address over 32 bits is an error instead of being cut off.
+endian. As DineroIV does, a text access is taken as 4 bytes at ``address & ~3``. Unlike DineroIV, blank lines, CR and UTF-16
+are allowed, all may be packed (``traces.stream``), and what lies at 2^32 and beyond is an error instead of being cut off.
 
 Labels: 0 read, 2 instruction fetch, 3 miscellaneous (a read that triggers nothing), b an explicit pre-fetch (8 | 3). Nodes are
-read-only, so writes (1) and everything else are errors.
+read-only, so writes (1), copy-backs (4), invalidations (5) and everything else are errors.
 """
 
-from collections.abc import Iterator
+import codecs
+import itertools
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from jit import kernel
-from traces.errors import NptraceError
 from traces.format import PREFETCH
 from traces.reader import Run
+from traces.stream import Stream, StreamError
 from traces.whole import whole_file
 
 LABELS = (0x0, 0x2, 0x3, 0xB)
@@ -35,42 +37,35 @@ for _digit, _char in enumerate("0123456789abcdef"):
 _OK, _BAD_LABEL, _BAD_ADDRESS, _WIDE_ADDRESS = range(4)
 
 
-class DinError(NptraceError):
+class DinError(StreamError):
     """A trace that cannot be read or written; the message has the line, the rule and the way out."""
 
 
 class DinTrace:
-    """A DineroIV trace on disk. It is read in chunks, so memory does not grow with its length."""
+    """A DineroIV trace in a file, a pipe or stdin (``-``). It is read in chunks, so memory does not grow with its length."""
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
-        try:
-            with open(self.path, "rb") as file:
-                head = file.read(4096)
-        except OSError as e:
-            raise DinError(f"cannot read {self.path}: {e.strerror}; give a DineroIV trace or a run's directory") from e
-        if not head.strip():
-            raise DinError(f"{self.path} holds no access; a trace has lines such as `0 1a2b40`")
-        self.is_binary = b"\0" in head  # text has no zero byte; a record has one in its unused byte
+        self.stream = Stream(path)
 
     def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray | int, np.ndarray]]:
         """Yield (address uint32, size in bytes, label uint8); the size is one number for text, an array for binary."""
-        return self._binary() if self.is_binary else self._text()
+        chunks, n = self.stream.chunks(_CHUNK_BYTES, _has_records), 0
+        first = next(chunks, b"")
+        encoding = _encoding(first)
+        rest = itertools.chain([first], chunks)
+        for batch in self._text(_lines_of(rest, encoding)) if encoding else self._binary(rest):
+            n += batch[0].size
+            yield batch
+        if not n:
+            raise DinError(f"{self.stream.where} holds no access; a trace has lines such as `0 1a2b40`")
 
-    def _chunks(self) -> Iterator[bytes]:
-        try:
-            with open(self.path, "rb") as file:
-                while chunk := file.read(_CHUNK_BYTES):
-                    yield chunk
-        except OSError as e:
-            raise DinError(f"cannot read {self.path}: {e.strerror}") from e
-
-    def _text(self) -> Iterator[tuple[np.ndarray, int, np.ndarray]]:
+    def _text(self, chunks: Iterable[bytes]) -> Iterator[tuple[np.ndarray, int, np.ndarray]]:
         rest, lines_before = b"", 0
-        for chunk in self._chunks():
+        for chunk in chunks:
             text, newline, rest_after = (rest + chunk).rpartition(b"\n")
             if len(rest_after) > _CHUNK_BYTES // 4:
-                raise DinError(f"{self.path}: line {lines_before + 1} or a later one has no end; this is not a trace")
+                line = lines_before + 1 + text.count(b"\n") + len(newline)
+                raise DinError(f"{self.stream.where}: line {line} has no end within {len(rest_after)} B; this is not a trace")
             rest = rest_after
             if newline:
                 yield self._parse(text + newline, lines_before)
@@ -85,40 +80,120 @@ class DinTrace:
         n, n_lines, error = parse(data, _HEX, address, label)
         if error:
             bad = text.split(b"\n", n_lines + 1)[n_lines].strip().decode("ascii", "replace")
-            raise DinError(f"{self.path}, line {lines_before + n_lines + 1}: {_explain(error, bad)}")
+            raise DinError(f"{self.stream.where}, line {lines_before + n_lines + 1}: {_explain(error, bad)}")
         return address[:n], TEXT_ACCESS_BYTES, label[:n]
 
-    def _binary(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _binary(self, chunks: Iterable[bytes]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         done = 0
-        for chunk in self._chunks():
+        for chunk in chunks:
             if len(chunk) % RECORD.itemsize:
-                raise DinError(f"{self.path} is cut off: its size is not a whole number of {RECORD.itemsize}-byte records")
+                raise DinError(
+                    f"{self.stream.where} is cut off: its size is not a whole number of {RECORD.itemsize}-byte records"
+                )
             records = np.frombuffer(chunk, RECORD)
-            wrong = ~np.isin(records["label"], LABELS) | (records["size"] == 0)
-            if wrong.any():
-                at = int(np.argmax(wrong))
-                label, size = int(records["label"][at]), int(records["size"][at])
-                reason = _explain(_BAD_LABEL, f"{label:x}") if label not in LABELS else f"a size of {size} B reads nothing"
-                raise DinError(f"{self.path}, record {done + at + 1}: {reason}")
-            done += records.size
-            yield tuple(np.ascontiguousarray(records[name]) for name in ("address", "size", "label"))  # type: ignore[misc]
+            address, size, label = (np.ascontiguousarray(records[name]) for name in ("address", "size", "label"))
+            at = int(first_bad_record(address, size, label))
+            if at < address.size:
+                reason = _explain_record(int(address[at]), int(size[at]), int(label[at]))
+                raise DinError(f"{self.stream.where}, record {done + at + 1}: {reason}")
+            done += address.size
+            yield address, size, label
+
+
+def _has_records(head: bytes) -> bool:
+    """Return whether bytes are binary records, of which none is wrong."""
+    records = np.frombuffer(head[: len(head) // RECORD.itemsize * RECORD.itemsize], RECORD)
+    good = np.isin(records["label"], LABELS) & (records["size"] > 0) & (records["pad"] == 0)
+    return records.size > 0 and bool(good.all())
+
+
+#: Texts that begin with a byte order mark, and their encodings; the longer marks first.
+_MARKS = {b"\xef\xbb\xbf": "utf-8", b"\xff\xfe\0\0": "utf-32", b"\0\0\xfe\xff": "utf-32", b"\xff\xfe": "utf-16",
+          b"\xfe\xff": "utf-16"}  # fmt: skip
+
+_TEXT_BYTES = np.array([9, 10, 13, *range(32, 127)], np.uint8)
+
+
+def _encoding(head: bytes) -> str:
+    """Return how the text that begins so is encoded, "" for binary records."""
+    head = head[:4096]
+    if _has_records(head):
+        return ""
+    for mark, encoding in _MARKS.items():
+        if head.startswith(mark):
+            return encoding
+    pairs = np.frombuffer(head[: min(len(head), 64) // 2 * 2], np.uint8).reshape(-1, 2)
+    for k, encoding in enumerate(("utf-16-le", "utf-16-be")):  # without a mark: every other byte of its digits is 0
+        if pairs.size and (pairs[:, 1 - k] == 0).all() and np.isin(pairs[:, k], _TEXT_BYTES).all():
+            return encoding
+    return "" if b"\0" in head else "ascii"  # text has no zero byte; a record has one in its unused byte
+
+
+def _lines_of(chunks: Iterable[bytes], encoding: str) -> Iterator[bytes]:
+    """Yield text in one byte a character, its lines ended by LF, whether by CR, LF or both before."""
+    decoder = None if encoding in ("ascii", "utf-8") else codecs.getincrementaldecoder(encoding)("replace")
+    is_first, held = True, b""
+    for chunk in chunks:
+        if decoder is not None:
+            chunk = decoder.decode(chunk).encode("ascii", "replace")
+        elif is_first:
+            chunk = chunk.removeprefix(codecs.BOM_UTF8)
+        is_first = False
+        if held or b"\r" in chunk:
+            chunk, held = held + chunk, b""
+            if chunk.endswith(b"\r"):  # an LF may follow
+                chunk, held = chunk[:-1], b"\r"
+            chunk = chunk.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        yield chunk
+    if held:
+        yield b"\n"
+
+
+#: Labels that DineroIV knows and a trace of reads cannot have.
+_FOREIGN = {1: "a write, and nodes are read-only", 4: "a copy-back, and nodes are read-only",
+            5: "an invalidation, and nothing invalidates nodes", 8: "DineroIV's end mark"}  # fmt: skip
+_KNOWN = "labels are 0 (read), 2 (instruction fetch), 3 (misc) and b (pre-fetch)"
 
 
 def _explain(error: int, line: str) -> str:
     fields = line.split()
     if error == _BAD_LABEL:
         label = fields[0] if fields else repr(line)  # a control character that Python takes for a blank
-        known = "labels are 0 (read), 2 (instruction fetch), 3 (misc) and b (pre-fetch)"
+        if label.lower() in ("r", "w", "i", "m", "c", "v"):
+            return (
+                f"label {label} is of DineroIV's extended format (-informat D), which is not read; write `0 1a2b40` for a read"
+            )
         try:
-            kind = {1: "a write, and nodes are read-only", 8: "DineroIV's end mark"}.get(int(label, 16), "unknown")
+            kind = _FOREIGN.get(int(label, 16), "unknown")
         except ValueError:
             kind = "not hexadecimal"
-        return f"label {label[:40]} is {kind}; {known}"
+        return f"label {label[:40]} is {kind}; {_KNOWN}"
     address = fields[1][:40] if len(fields) > 1 else ""
     if error == _WIDE_ADDRESS:
         return f"address {address} has more than 32 bits, which DineroIV's traces cannot hold; rebase the trace"
     found = f"{address!r} is not a hexadecimal address" if address else "the address is missing"
     return f"{found}; write `label address`, as in `0 1a2b40`"
+
+
+def _explain_record(address: int, size: int, label: int) -> str:
+    if label not in LABELS:
+        return _explain(_BAD_LABEL, f"{label:x}") if label != 0xC else f"label c is unknown; {_KNOWN}"
+    if size == 0:
+        return "a size of 0 B reads nothing"
+    return (
+        f"{size} B at {address:x} reach past 2^32, where DineroIV goes on at 0; rebase the trace, or split the record into two"
+    )
+
+
+@kernel
+def first_bad_record(address, size, label):
+    """Return the first record with an unknown label, no bytes, or bytes at 2^32 and beyond; the number of records if none."""
+    for i in range(np.uint64(address.size)):
+        of_label = label[i]
+        known = of_label == 0 or of_label == 2 or of_label == 3 or of_label == 11
+        if not known or size[i] == 0 or np.uint64(address[i]) + np.uint64(size[i]) > np.uint64(1 << 32):
+            return i
+    return np.uint64(address.size)
 
 
 @kernel
@@ -130,14 +205,16 @@ def parse(text, digits, address, label):
     n = n_lines = 0
     i = 0
     while i < text.size:
-        while text[i] == 32 or text[i] == 9 or text[i] == 13:
+        while text[i] == 32 or text[i] == 9:
             i += 1
         if text[i] != 10:
+            if text[i] == 48 and (text[i + 1] == 120 or text[i + 1] == 88):
+                i += 2
             value, first = np.uint64(0), i
             while digits[text[i]] < 16 and i - first < 8:
                 value = value * np.uint64(16) + np.uint64(digits[text[i]])
                 i += 1
-            is_end = text[i] == 32 or text[i] == 9 or text[i] == 13 or text[i] == 10
+            is_end = text[i] == 32 or text[i] == 9 or text[i] == 10
             if i == first or not is_end or not (value == 0 or value == 2 or value == 3 or value == 11):
                 return n, n_lines, _BAD_LABEL
             label[n] = value
@@ -151,7 +228,7 @@ def parse(text, digits, address, label):
                 if value >> np.uint64(32):
                     return n, n_lines, _WIDE_ADDRESS
                 i += 1
-            if i == first or not (text[i] == 32 or text[i] == 9 or text[i] == 13 or text[i] == 10):
+            if i == first or not (text[i] == 32 or text[i] == 9 or text[i] == 10):
                 return n, n_lines, _BAD_ADDRESS
             address[n] = value & np.uint64(0xFFFFFFFC)
             n += 1
@@ -169,6 +246,7 @@ def export_din(
     fmt: str = "text",
     prefetch: str = "b",
     addresses: np.ndarray | None = None,
+    warn: Callable[[str], None] = lambda text: None,
 ) -> int:
     """Write a run as a DineroIV trace and return the number of accesses written; the file appears whole or not at all.
 
@@ -183,17 +261,26 @@ def export_din(
         The label of the pre-fetch requests: ``"b"``, ``"read"`` (0), ``"misc"`` (3), or ``"omit"``.
     addresses : (n_nodes,) integer array, optional
         Byte address of every node; as stored when None.
+    warn : callable, optional
+        Called with a sentence when DineroIV does not count the trace as we do: where a pre-fetch spans two lines.
     """
     if fmt not in ("text", "binary"):
         raise DinError(f"{fmt!r} is not a format of a DineroIV trace; choose text or binary")
     if prefetch not in PREFETCH_LABELS:
         raise DinError(f"{prefetch!r} is not a label for pre-fetches; choose one of {', '.join(PREFETCH_LABELS)}")
-    node_bytes = int(run.metadata["tree"]["node_bytes"])
+    _, node_bytes = run.tree
     if addresses is None:
         addresses = run.columns("nodes", ["address"])["address"]
     highest = int(addresses.max()) + node_bytes
     if highest > 1 << 32:
         raise DinError(f"{run.name} reaches address {highest:#x}; a DineroIV trace holds 32 bits, so move the layout down")
+    if fmt == "binary" and prefetch == "b":
+        is_aligned = node_bytes & (node_bytes - 1) == 0 and not (addresses % np.asarray(node_bytes, addresses.dtype)).any()
+        lines = f"lines shorter than {node_bytes} B" if is_aligned else "lines of any size"
+        warn(
+            f"with {lines}, pre-fetches of {node_bytes} B span two, and DineroIV counts those wrongly, or stops with -uccc; "
+            "use longer lines, --prefetch read, or npcache replay"
+        )
     narrow = np.ascontiguousarray(addresses, np.uint32)
     mark = PREFETCH_LABELS[prefetch]
     labels = np.array([0, 0, 0, mark or 0], np.uint8)

@@ -11,6 +11,7 @@ Node *numbers* are stored, not addresses: the address is chosen at replay. The f
 metadata under the key ``nptrace``, without a time stamp, so the same command gives the same bytes.
 """
 
+import os
 from typing import Any
 
 import pyarrow as pa
@@ -83,6 +84,11 @@ ENCODING: dict[str, Any] = {
 def column_encoding(schema: pa.Schema) -> dict[str, str]:
     """Return the columns whose bytes are split: all but the two that zstd has to see as they are."""
     return {name: "BYTE_STREAM_SPLIT" for name in schema.names if schema is not ACCESSES or name == "kind"}
+
+
+def printable(name: str) -> str:
+    """Return a file's name as text that UTF-8 can hold: bytes that are none appear as ``\\xef``."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
 class RunError(NptraceError):

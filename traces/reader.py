@@ -2,8 +2,10 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+import weakref
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +13,58 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from traces.format import ACCESSES, FILES, FORMAT_VERSION, METADATA_KEY, NODES, RAYS, RunError
+from traces.checks import (
+    check_accesses,
+    check_nodes,
+    check_ray_numbers,
+    check_rays,
+    is_convertible,
+    kinds_allowed,
+    plain,
+)
+from traces.format import (
+    ACCESSES,
+    BOX,
+    FILES,
+    FORMAT_VERSION,
+    METADATA_KEY,
+    NODES,
+    RAYS,
+    ROW_GROUP,
+    SPLIT,
+    RunError,
+    printable,
+)
+
+#: Bytes that a node may have: with fewer than 2^32 nodes no address overflows.
+MAX_NODE_BYTES = 1 << 20
+
+_SCHEMAS = {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}
+_FIELDS = {name: {field.name: field for field in schema} for name, schema in _SCHEMAS.items()}
+_FIELDS["nodes"] |= {field.name: field for field in (*SPLIT, *BOX)}
 
 #: What reading a damaged Parquet file raises.
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
 
 class Run:
-    """A complete run, opened for reading. ``metadata`` is the footer's JSON; the arrays are read when asked for."""
+    """A complete run, opened for reading. ``metadata`` is the footer's JSON; arrays are read, and checked, when asked for."""
 
     def __init__(self, path: Path, files: dict[str, pq.ParquetFile], metadata: dict[str, Any]) -> None:
         self.path = path
         self.metadata = metadata
         self._files = files
+        self._has_good_nodes = False
 
     @property
     def name(self) -> str:
         """The directory's name, ``<scene>-<tree>``."""
-        return self.path.name
+        return printable(self.path.name)
+
+    @property
+    def n_nodes(self) -> int:
+        """Rows of ``nodes.parquet``."""
+        return int(self.metadata["n_nodes"])
 
     @property
     def n_accesses(self) -> int:
@@ -36,33 +72,93 @@ class Run:
         return int(self.metadata["n_accesses"])
 
     def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
-        """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays."""
+        """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays.
+
+        The other columns of the contract are read too and all of them are checked: a value can be wrong only beside others.
+        """
+        if table == "accesses":
+            names = names or ACCESSES.names
+            batches = list(self.batches(tuple(names)))
+            empty = {name: np.empty(0, ACCESSES.field(name).type.to_pandas_dtype()) for name in names}
+            return {name: np.concatenate([empty[name], *(batch[i] for batch in batches)]) for i, name in enumerate(names)}
+        if names is None:
+            names = [name for name in self._files[table].schema_arrow.names if name in _FIELDS[table]]
+        columns = self._plain(table, {*_SCHEMAS[table].names, *names} - ({"address"} - {*names}))
+        if table == "rays":
+            check_rays(columns, self.path / "rays.parquet", self.metadata)
+        else:
+            check_nodes(columns, self.path / "nodes.parquet", self.tree[1] if "address" in columns else None)
+            self._has_good_nodes = True
+        return {name: columns[name] for name in names}
+
+    def _plain(self, table: str, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Return whole columns, each of whose values is one of the contract's type."""
+        file, path = self._files[table], self.path / f"{table}.parquet"
         try:
-            read = _all_rows(self._files[table].read(columns=names), self._files[table].metadata.num_rows)
+            read = file.read(columns=sorted(names))
+            if read.num_rows != file.metadata.num_rows:  # Parquet readers end quietly where a page is not where it should be
+                raise OSError(f"{read.num_rows} of {file.metadata.num_rows} rows can be read")
         except _UNREADABLE as e:
-            raise _damaged(self.path / f"{table}.parquet", e) from e
-        return {name: read.column(name).to_numpy() for name in read.column_names}
+            raise _damaged(path, e) from e
+        return {name: plain(read.column(name), _FIELDS[table][name], path) for name in read.column_names}
+
+    @property
+    def tree(self) -> tuple[str, int]:
+        """The kind of the tree, ``"kdtree"`` or ``"bvh"``, and the bytes of a node."""
+        try:
+            tree = self.metadata["tree"]
+            kind, node_bytes = str(tree["kind"]), int(tree["node_bytes"])
+        except (KeyError, TypeError, ValueError, OverflowError) as e:
+            raise RunError(f"{self.path} says too little about its tree ({e} in its footer); render it again") from e
+        if kind not in ("kdtree", "bvh") or not 1 <= node_bytes <= MAX_NODE_BYTES:
+            raise RunError(f"{self.path} is of a {kind!r} of {node_bytes}-byte nodes; only kdtree and bvh are known")
+        return kind, node_bytes
 
     def batches(self, names: tuple[str, ...] = ("node", "kind")) -> Iterator[tuple[np.ndarray, ...]]:
-        """Yield the named columns of ``accesses`` row group by row group; the next group is decoded meanwhile."""
-        file = self._files["accesses"]
-        n_groups = file.num_row_groups
-
-        def read(group: int) -> tuple[np.ndarray, ...]:
-            table = file.read_row_group(group, columns=list(names), use_threads=False)
-            _all_rows(table, file.metadata.row_group(group).num_rows)
-            return tuple(table.column(name).to_numpy() for name in names)
-
+        """Yield the named columns of ``accesses``, checked, up to a row group at a time; the next batch is read meanwhile."""
+        reading = self._checked(names)
         with ThreadPoolExecutor(1) as pool:
-            ahead = pool.submit(read, 0) if n_groups else None
-            for group in range(n_groups):
-                assert ahead is not None
-                try:
-                    batch = ahead.result()
-                except _UNREADABLE as e:
-                    raise _damaged(self.path / "accesses.parquet", e) from e
-                ahead = pool.submit(read, group + 1) if group + 1 < n_groups else None
+            ahead = pool.submit(next, reading, None)
+            while (batch := ahead.result()) is not None:
+                ahead = pool.submit(next, reading, None)
                 yield batch
+
+    def _checked(self, names: tuple[str, ...]) -> Iterator[tuple[np.ndarray, ...]]:
+        path, row = self.path / "accesses.parquet", 0
+        ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
+        allowed = kinds_allowed(self._plain("nodes", ["axis"])["axis"], self.tree[0])
+        with ThreadPoolExecutor(1) as pool:
+            # Of the tree only this is needed here. The rest is checked meanwhile: for a large tree that takes as long as
+            # reading the accesses of a small picture.
+            checked = None if self._has_good_nodes else pool.submit(self.columns, "nodes", [])
+            for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path):
+                columns = {name: plain(read.column(name), ACCESSES.field(name), path, row) for name in read.schema.names}
+                try:
+                    check_accesses(columns["node"], columns["kind"], allowed, path, row)
+                except RunError:
+                    if checked is not None:
+                        checked.result()  # what is wrong with the tree comes first
+                    raise
+                if ends is not None:
+                    check_ray_numbers(columns["ray"], ends, path, row)
+                row += read.num_rows
+                yield tuple(columns[name] for name in names)
+            if checked is not None:
+                checked.result()
+
+
+def _batches(file: pq.ParquetFile, names: list[str], path: Path) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of a file, of one row group after the other, ``ROW_GROUP`` rows or fewer at a time."""
+    n_read = 0
+    try:
+        for group in range(file.num_row_groups):
+            for batch in file.iter_batches(ROW_GROUP, row_groups=[group], columns=names, use_threads=False):
+                n_read += batch.num_rows
+                yield batch
+        if n_read != file.metadata.num_rows:  # Parquet readers end quietly where a page is not where it should be
+            raise OSError(f"{n_read} of {file.metadata.num_rows} rows can be read")
+    except _UNREADABLE as e:
+        raise _damaged(path, e) from e
 
 
 def open_run(path: Path | str) -> Run:
@@ -79,13 +175,29 @@ def open_run(path: Path | str) -> Run:
     missing = [name for name in FILES if not (path / name).is_file()]
     if missing:
         raise RunError(f"{path} is not a complete run: {', '.join(missing)} missing; render it again")
+    with ExitStack() as handles:
+        files, metadata = _open_files(path, handles)
+        try:
+            image = hashlib.sha256((path / "image.png").read_bytes()).hexdigest()
+        except OSError as e:
+            raise _damaged(path / "image.png", e) from e
+        if metadata.get("image_sha256", image) != image:  # runs of earlier versions do not say
+            raise RunError(f"{path / 'image.png'} is damaged (its checksum is wrong); render it again")
+        run = Run(path, files, metadata)
+        weakref.finalize(run, handles.pop_all().close)
+    return run
+
+
+def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], dict[str, Any]]:
+    """Return the Parquet files of a run and what their footers say; ``handles`` closes them."""
     files: dict[str, pq.ParquetFile] = {}
     schemas: dict[str, pa.Schema] = {}
     texts: set[bytes | None] = set()
-    for name in ("accesses", "rays", "nodes"):
+    for name in _SCHEMAS:
         file = path / f"{name}.parquet"
         try:
-            files[name] = pq.ParquetFile(file, page_checksum_verification=True)
+            handle = handles.enter_context(file.open("rb"))  # by Python: Arrow opens only names that are UTF-8
+            files[name] = pq.ParquetFile(handle, page_checksum_verification=True)
             schemas[name] = files[name].schema_arrow
             texts.add((files[name].metadata.metadata or {}).get(METADATA_KEY))
         except _UNREADABLE as e:
@@ -98,26 +210,29 @@ def open_run(path: Path | str) -> Run:
         metadata = json.loads(texts.pop() or b"")
         version = metadata["format_version"]
         promised = {name: int(metadata[f"n_{name}"]) for name in files}
-    except (ValueError, TypeError, KeyError, RecursionError) as e:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as e:
         raise _damaged(path, e) from e
     if version != FORMAT_VERSION:
         raise RunError(f"{path} has format version {version}, this program reads {FORMAT_VERSION}; render it again")
     for name, file in files.items():
-        found = dict(zip(schemas[name].names, schemas[name].types, strict=True))
-        for field in {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}[name]:
-            if found.get(field.name) != field.type:
-                raise RunError(f"{path / name}.parquet has no {field.type} column '{field.name}'; render it again")
+        _check_schema(path / f"{name}.parquet", schemas[name], name)
         if file.metadata.num_rows != promised[name]:
             raise RunError(
                 f"{path / name}.parquet has {file.metadata.num_rows} rows, its footer says {promised[name]}; render it again"
             )
-    try:
-        image = hashlib.sha256((path / "image.png").read_bytes()).hexdigest()
-    except OSError as e:
-        raise _damaged(path / "image.png", e) from e
-    if metadata.get("image_sha256", image) != image:  # runs of earlier versions do not say
-        raise RunError(f"{path / 'image.png'} is damaged (its checksum is wrong); render it again")
-    return Run(path, files, metadata)
+    return files, metadata | {f"n_{name}": n for name, n in promised.items()}
+
+
+def _check_schema(file: Path, found: pa.Schema, table: str) -> None:
+    for name, field in _FIELDS[table].items():
+        columns = found.get_all_field_indices(name)
+        if not columns and name not in _SCHEMAS[table].names:
+            continue  # of the other kind of tree
+        if len(columns) != 1:
+            raise RunError(f"{file} has {len(columns) or 'no'} columns '{name}', and a run has one; render it again")
+        type_ = found.field(columns[0]).type
+        if not is_convertible(type_, field.type):
+            raise RunError(f"{file}, column '{name}' is of type {type_}, and not {field.type}; render the run again")
 
 
 def find_runs(folder: Path | str) -> list[Path]:
@@ -127,13 +242,6 @@ def find_runs(folder: Path | str) -> list[Path]:
         return []
     found = (p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
     return sorted(p for p in found if any((p / name).exists() for name in FILES))
-
-
-def _all_rows(table: pa.Table, promised: int) -> pa.Table:
-    """Return the table; an OSError if rows are missing. Parquet readers end quietly where a page is not where it should be."""
-    if table.num_rows != promised:
-        raise OSError(f"{table.num_rows} of {promised} rows can be read")
-    return table
 
 
 def _damaged(path: Path, error: Exception) -> RunError:
