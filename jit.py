@@ -9,7 +9,8 @@ import hashlib
 import os
 import sys
 import tempfile
-from functools import partial
+from collections.abc import Callable
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 from numba.core import event
+from numba.extending import intrinsic
 from platformdirs import user_cache_path
 
 import compiling
@@ -86,9 +88,32 @@ class _Noticed(event.Listener):
 
 event.register("numba:compile", _Noticed())
 
+
+def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a kernel that is not compiled: NumPy's scalars warn where a processor wraps around, or divides by zero."""
+
+    @wraps(function)
+    def run(*args: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*args)
+
+    return run
+
+
+def _as_written(twin: Callable[..., Any]) -> Callable[[Any], Any]:
+    return (lambda function: twin) if IS_PLAIN else intrinsic
+
+
+#: Whether nothing is compiled: NUMBA_DISABLE_JIT=1, a hundred times as slow, with the same results.
+IS_PLAIN: bool = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
+
 #: Decorator of every kernel: compiled once per source, releases the GIL, divides by zero as IEEE 754 does, no fastmath
 #: (so no fused multiply-add: the counts are the same on every machine).
-kernel: Any = partial(numba.njit, cache=True, nogil=True, error_model="numpy")
+kernel: Any = _in_python if IS_PLAIN else partial(numba.njit, cache=True, nogil=True, error_model="numpy")
 
 #: Decorator of a small function that only kernels call: pasted into them, without counting references to its arrays.
-inlined: Any = partial(kernel, _nrt=False, forceinline=True)
+inlined: Any = _in_python if IS_PLAIN else partial(kernel, _nrt=False, forceinline=True)
+
+#: ``instructions(twin)``: decorator of a function written in LLVM's own instructions (``numba.extending.intrinsic``); ``twin``
+#: is the same in Python, for when nothing is compiled.
+instructions: Any = _as_written
