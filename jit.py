@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import cache, partial
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import IO, Any, ClassVar
 
@@ -25,6 +25,7 @@ import numba
 import numpy as np
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.extending import intrinsic
 from platformdirs import user_cache_path
 
 import compiling
@@ -202,11 +203,35 @@ def kernel(function: Callable[..., Any] | None = None, *, is_kept: bool = True, 
     """
     if function is None:
         return partial(kernel, is_kept=is_kept, **options)
+    if IS_PLAIN:
+        return _in_python(function)
     made: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
-    if hasattr(made, "enable_caching"):  # not where Numba is told to compile nothing
-        made._cache = _Cache(function, is_kept)
+    made._cache = _Cache(function, is_kept)
     return made
+
+
+def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a kernel that is not compiled: NumPy's scalars warn where a processor wraps around, or divides by zero."""
+
+    @wraps(function)
+    def run(*args: Any) -> Any:
+        with np.errstate(all="ignore"):
+            return function(*args)
+
+    return run
+
+
+def _as_written(twin: Callable[..., Any]) -> Callable[[Any], Any]:
+    return (lambda function: twin) if IS_PLAIN else intrinsic
+
+
+#: Whether nothing is compiled: NUMBA_DISABLE_JIT=1, a hundred times as slow, with the same results.
+IS_PLAIN: bool = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 
 
 #: Decorator of a small function that only kernels call: pasted into them, without counting references to its arrays.
 inlined: Any = partial(kernel, _nrt=False, forceinline=True)
+
+#: ``instructions(twin)``: decorator of a function written in LLVM's own instructions (``numba.extending.intrinsic``); ``twin``
+#: is the same in Python, for when nothing is compiled.
+instructions: Any = _as_written

@@ -135,4 +135,4 @@ def _smallest_tree(scene: Scene, kind: str) -> Tree:
         nodes["child"] = 1, 0, n
     prims = np.concatenate([np.arange(n, dtype=np.int32)] * 2)
     corners, params = np.take(scene.triangles, prims, axis=0), {"builder": "by hand"}
-    return Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, 1, params)
+    return Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, scene.bounds, 1, params)

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
 from cachesim.config import CacheConfig
 from cachesim.exact import PREFETCH
-from jit import kernel
+from jit import instructions, kernel
 
 #: Lines compared at once: what AVX-512 holds in one register and AVX2 in two.
 LANES = 16
@@ -64,7 +63,18 @@ def _aligned(n: int) -> np.ndarray:
     return memory[start : start + n]
 
 
-@intrinsic
+def _put_first(lines, at, line, carried):
+    """Return what ``put_first`` does, in Python."""
+    group = lines[int(at) : int(at) + LANES]
+    last = group[-1]
+    lane = int(np.argmax(np.append(group == line, True)))
+    moved = min(lane, LANES - 1)
+    group[1 : moved + 1] = group[:moved].copy()
+    group[0] = carried
+    return np.uint64(lane), np.uint64(last)
+
+
+@instructions(_put_first)
 def put_first(typing_context, lines, at, line, carried):
     """Move ``line`` out of and ``carried`` into the ``LANES`` lines from ``at`` on, newest first, all lanes at once.
 

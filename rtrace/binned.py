@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
-from jit import inlined, kernel
+from jit import inlined, instructions, kernel
+from rtrace import strays
 from rtrace.nodes import LEAF
 
 N_BINS = 16
@@ -26,8 +26,8 @@ ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT = (np.uint64(k) for k in ra
 TWENTY_FOUR = np.uint64(3 * WORDS)
 
 
-def _on_eight_words(combine: Any) -> Any:
-    """Return a kernel's function that writes ``combine(held, new)`` of two boxes over the first."""
+def _on_eight_words(combine: Any, twin: Any) -> Any:
+    """Return a kernel's function that writes ``combine(held, new)`` of two boxes over the first; ``twin`` is NumPy's."""
 
     def function(typing_context: Any, boxes: Any, box: Any, others: Any, other: Any) -> Any:
         signature = types.void(boxes, types.uint64, others, types.uint64)
@@ -46,7 +46,12 @@ def _on_eight_words(combine: Any) -> Any:
 
         return signature, generate
 
-    return intrinsic(function)
+    def plain(boxes: Any, box: Any, others: Any, other: Any) -> None:
+        # As bits, so that a number among the words stays what it is.
+        held, new = (array[WORDS * int(at) : WORDS * (int(at) + 1)] for array, at in ((boxes, box), (others, other)))
+        held.view(np.uint32)[:] = twin(held, new).view(np.uint32)
+
+    return instructions(plain)(function)
 
 
 def _least(builder: Any, held: Any, new: Any) -> Any:
@@ -61,9 +66,9 @@ def _least(builder: Any, held: Any, new: Any) -> Any:
 # In LLVM's own instructions, because Numba's loops over so few words do not become vectors. All or nothing: a vector read from
 # places that were just written one by one waits until the processor has put them together.
 #: ``grow(boxes, i, others, j)``: let box i hold box j of others.
-grow = _on_eight_words(_least)
+grow = _on_eight_words(_least, np.fmin)
 #: ``copy(boxes, i, others, j)``: let box or record i be j of others.
-copy = _on_eight_words(lambda builder, held, new: new)
+copy = _on_eight_words(lambda builder, held, new: new, lambda held, new: new)
 
 
 @inlined
@@ -187,6 +192,19 @@ def make_records(triangles, records, numbers, box):
             records[b + k], records[b + THREE + k] = NOTHING + (r if r < low else low), NOTHING - (r if r > high else high)
         numbers[b + SIX], numbers[b + SEVEN] = i, ZERO
         grow(box, ZERO, records, i)
+
+
+def make_room(triangles, records, box):
+    """Return the ``strays.Extent`` of some triangles, make the boxes of strays larger in their records, and ``box``."""
+    bounds = np.stack((NOTHING + box[:3], NOTHING - box[3:6]))
+    if strays.find_limit(triangles, bounds) == np.inf:
+        return strays.Extent(bounds, bounds, np.inf, np.empty(0, np.int64))
+    boxes = records.reshape(-1, WORDS)
+    lower, upper = boxes[:, :3].copy(), NOTHING - boxes[:, 3:6]
+    extent = strays.make_room(triangles, lower, upper)
+    boxes[:, :3], boxes[:, 3:6] = lower, NOTHING - upper
+    box[:3], box[3:6] = extent.bounds[0], NOTHING - extent.bounds[1]
+    return extent
 
 
 @kernel

@@ -10,6 +10,7 @@ from jit import kernel
 from rtrace import binned
 from rtrace.nodes import BVH_NODE, LEAF, Tree, check_finite, triangle_boxes
 from rtrace.sorting import sort
+from rtrace.strays import make_room
 from traces.errors import NptraceError
 
 
@@ -179,6 +180,7 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     flat, words = nodes.view(np.float32), nodes.view(np.uint32)
     if builder == "sweep":
         boxes = np.concatenate(triangle_boxes(triangles), axis=1)
+        extent = make_room(triangles, boxes[:, :3], boxes[:, 3:])
         # Twice the centre of the box, in float64: the sum of two float32 does not overflow there.
         centroids = boxes[:, :3].astype(np.float64) + boxes[:, 3:]
         orders = np.concatenate([np.argsort(centroids[:, k], kind="stable") for k in range(3)]).astype(np.int32)
@@ -186,11 +188,11 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     elif builder == "binned":
         records, box = np.empty(binned.WORDS * n, np.float32), np.empty(binned.WORDS, np.float32)
         binned.make_records(triangles.reshape(-1), records, records.view(np.uint32), box)
+        extent = binned.make_room(triangles, records, box)
         n_nodes, max_level = binned.build_binned(records, records.view(np.uint32), box, flat, words, prims)
     else:
         raise NptraceError(f"builder must be 'sweep' or 'binned', got {builder!r}")
     nodes = nodes[:n_nodes].copy()
     _sort_leaves(words, n_nodes, prims, np.empty(n, np.int32))
-    bounds = np.stack([nodes["lower"][0], nodes["upper"][0]])
     corners = np.take(triangles, prims, axis=0)  # a third of the time of triangles[prims]
-    return Tree("bvh", nodes, prims, corners, triangles, bounds, int(max_level), {"builder": builder})
+    return Tree("bvh", nodes, prims, corners, triangles, extent.bounds, extent.core, int(max_level), {"builder": builder})

@@ -16,6 +16,10 @@ MAX_SIDE, MAX_PIXELS = 65536, 2**31 - 1
 
 #: Vertical field of view in degrees when none is given.
 DEFAULT_FOV = 45.0
+#: The least: four steps of a float32 direction from the middle of the picture to its border.
+MIN_FOV = 2e-5
+#: Largest coordinate of the eye, where rays begin: the largest float32.
+FARTHEST = float(np.finfo(np.float32).max)
 
 _FIT_DIRECTION = (0.55, 0.45, 0.75)  # from the middle of the box to a fitted camera: front right, a bit above
 _FIT_MARGIN = 1.05
@@ -31,11 +35,11 @@ class Camera:
     Attributes
     ----------
     eye, look_at : 3 floats
-        Where the camera stands, and a point in the middle of the picture.
+        Where the camera stands, which float32 can hold, and a point in the middle of the picture.
     up : 3 floats
         What is up in the picture; need not be of unit length nor at a right angle to the view.
     fov : float
-        Vertical field of view in degrees, 0 < fov < 180.
+        Vertical field of view in degrees, ``MIN_FOV`` <= fov < 180.
 
     Raises ValueError for values that define no picture.
     """
@@ -51,6 +55,15 @@ class Camera:
         object.__setattr__(self, "fov", float(self.fov))
         if not 0.0 < self.fov < 180.0:
             raise NptraceError(f"camera fov is {self.fov!r}, must be between 0 and 180 degrees; write e.g. fov=45")
+        if self.fov < MIN_FOV:
+            raise NptraceError(
+                f"camera fov is {self.fov!r}, must be at least {MIN_FOV} degrees: directions are float32, in which all rays "
+                "of a narrower picture are one; write e.g. fov=45"
+            )
+        if max(map(abs, self.eye)) > FARTHEST:
+            raise NptraceError(
+                f"camera eye {_text(self.eye)} is beyond float32, which holds numbers up to {FARTHEST:.4g}; bring it nearer"
+            )
         if self.eye == self.look_at:
             raise NptraceError(f"camera eye and look_at are the same point {_text(self.eye)}; move one of them")
         if not all(map(math.isfinite, np.subtract(self.look_at, self.eye))):
@@ -102,6 +115,9 @@ def fit_camera(bounds: np.ndarray) -> Camera:
     distance = np.max(sideways / math.tan(math.radians(DEFAULT_FOV) / 2) - corners @ forward) * _FIT_MARGIN
     # A single point, and a speck far from the origin, need a distance that survives the rounding of the eye.
     distance = max(distance, 1e-3 * np.abs(middle).max(), 1e-30) if np.any(upper) or np.any(lower) else 1.0
+    # At the end of float32 the camera cannot stand where it sees all.
+    there = np.abs(forward) > 0
+    distance = min(distance, np.min((FARTHEST + np.sign(forward) * middle)[there] / np.abs(forward)[there]) * (1 - 1e-9))
     return Camera(_point(middle - distance * forward), _point(middle))
 
 

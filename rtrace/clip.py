@@ -91,21 +91,21 @@ def _include(points, a, box):
 
 
 @kernel
-def _write_bounds(points, box, lo, hi, out, at):
-    """Write the ranks of points[box] and points[box + 3], a lower and an upper bound, rounded outward, kept inside lo and hi.
+def _write_bounds(points, box, slack, lo, hi, out, at):
+    """Write the ranks of points[box] and points[box + 3], a lower and an upper bound, moved outward, kept inside lo and hi.
 
     Where nothing is left (by rounding: clipped to another cell, the triangle just reached this one) lo and hi stand.
     """
     lower, upper = points[box], points[box + THREE]
     if lower <= upper:
-        inner_lo, inner_hi = max(lo, _rank_below(lower)), min(hi, _rank_above(upper))
+        inner_lo, inner_hi = max(lo, _rank_below(lower - slack)), min(hi, _rank_above(upper + slack))
         if inner_lo <= inner_hi:
             lo, hi = inner_lo, inner_hi
     out[at], out[at + THREE] = lo, hi
 
 
 @kernel
-def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, below, above, points):
+def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, below, above, points, slack=0.0):
     """Clip one triangle to a cell, cut it at a plane and bound both parts.
 
     Parameters
@@ -124,6 +124,8 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
         Output at the same place: the bounds of the two parts, inside ``bounds`` and on their side of the plane.
     points : (3 POLYGON,) float64
         Scratch.
+    slack : float
+        How far around the triangle its part reaches: 0, but for strays (``rtrace.strays``).
     """
     corner, axis, at, v = np.uint64(corner), np.uint64(axis), np.uint64(at), NINE * np.uint64(triangle)
     for k in range(NINE):
@@ -132,7 +134,7 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
     for k in range(THREE):
         a, b, c = vertices[v + k], vertices[v + THREE + k], vertices[v + SIX + k]
         for side in range(-1, 2, 2):
-            plane = cell[corner + k] if side > 0 else cell[corner + THREE + k]
+            plane = cell[corner + k] - slack if side > 0 else cell[corner + THREE + k] + slack
             if min(a, b, c) < plane if side > 0 else max(a, b, c) > plane:
                 n = _cut(points, first, n, k, plane, side, out)
                 first, out = out, first
@@ -142,7 +144,8 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
         x = points[first + THREE * i + axis]
         lowest, highest = min(lowest, x), max(highest, x)
     # By rounding a part may have no point on its side: then it has the nearest ones, so that its bounds stay near it.
-    top_of_below, bottom_of_above = max(plane, lowest), min(plane, highest)
+    low_plane, high_plane = plane - slack, plane + slack
+    top_of_below, bottom_of_above = max(high_plane, lowest), min(low_plane, highest)
     crossing = POLYGON + POLYGON
     in_below, in_above = crossing + THREE, crossing + NINE
     for k in range(THREE):  # empty boxes
@@ -151,17 +154,20 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
     for i in range(n):
         a = first + THREE * i
         b = a + THREE if i + ONE < n else first
-        x = points[a + axis]
-        here, there = x - plane, points[b + axis] - plane
+        x, y = points[a + axis], points[b + axis]
         if x <= top_of_below:
             _include(points, a, in_below)
         if x >= bottom_of_above:
             _include(points, a, in_above)
-        if (here < 0.0 and there > 0.0) or (here > 0.0 and there < 0.0):
-            _cross(points, a, b, axis, plane, crossing)
+        if (x < high_plane and y > high_plane) or (x > high_plane and y < high_plane):
+            _cross(points, a, b, axis, high_plane, crossing)
             _include(points, crossing, in_below)
+            if slack == 0.0:
+                _include(points, crossing, in_above)
+        if slack > 0.0 and ((x < low_plane and y > low_plane) or (x > low_plane and y < low_plane)):
+            _cross(points, a, b, axis, low_plane, crossing)
             _include(points, crossing, in_above)
     for k in range(THREE):
         lo, hi = np.int64(bounds[at + k]), np.int64(bounds[at + THREE + k])
-        _write_bounds(points, in_below + k, lo, min(hi, split) if k == axis else hi, below, at + k)
-        _write_bounds(points, in_above + k, max(lo, split) if k == axis else lo, hi, above, at + k)
+        _write_bounds(points, in_below + k, slack, lo, min(hi, split) if k == axis else hi, below, at + k)
+        _write_bounds(points, in_above + k, slack, max(lo, split) if k == axis else lo, hi, above, at + k)

@@ -154,8 +154,8 @@ def _judge_hits(case: Case, tracer: Tracer) -> tuple[tuple[int, int, int, float]
 
 def _judge_shadows(case: Case, tracer: Tracer, light: Point) -> tuple[tuple[int, int, int, float], list[np.ndarray]]:
     """Return the same for shadow rays; a point is dark if it faces away from the light, or its shadow ray meets anything."""
-    no_nodes, no_prims = np.empty(0, BVH_NODE), np.empty(0, np.int32)
-    bare = Tree("none", no_nodes, no_prims, case.triangles[:0], case.triangles, np.zeros((2, 3), np.float32), 0, {})
+    no_nodes, no_prims, nowhere = np.empty(0, BVH_NODE), np.empty(0, np.int32), np.zeros((2, 3), np.float32)
+    bare = Tree("none", no_nodes, no_prims, case.triangles[:0], case.triangles, nowhere, nowhere, 0, {})
     hits = tracer(case.rays, False)
     rays, owner, facing, _ = shadow_rays(bare, case.rays, hits, light)
     dark = ~(facing > 0.0)

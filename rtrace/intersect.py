@@ -12,16 +12,17 @@ import numpy as np
 
 from jit import inlined, kernel
 
-#: Margin of the culling tests, relative to the scene's extent as seen from the ray's origin. Rounding moves the point that a
-#: hit stands for by at most 2^-46 of it (``THIN`` times the rounding of an edge function), the culling tests themselves
-#: by 2^-51; float32 coordinates resolve 2^-24, so only rays that touch a box or plane exactly visit more.
+#: Margin of the culling tests, relative to the extent of the scene's core as seen from the ray's origin. Rounding moves the
+#: point that a hit stands for by at most 2^-46 of its triangle's extent from there (``THIN`` times the rounding of an edge
+#: function), the culling tests themselves by 2^-51 of the plane's distance; float32 coordinates resolve 2^-24, so only rays
+#: that touch a box or plane exactly visit more. Triangles beyond the core have room of their own (``strays``).
 PAD = 2.0**-44
 #: Rounding of origin + margin, relative to the origin.
 ORIGIN_PAD = 2.0**-50
 #: Keeps the margin of a ray in a plane, whose sums may vanish, above zero; times ``HUGE`` it is beyond any t.
 LEAST_PAD = 1e-100
-#: The inverse of a zero: finite, so that no product with it is undefined. With it a ray is inside a slab, by its margin, from
-#: before any t to after any t, or never.
+#: The inverse of a zero of either sign: finite, so that no product with it is undefined. With it a ray is inside a slab, by
+#: its margin, from before any t to after any t, or never.
 HUGE = float(np.finfo(np.float64).max)
 
 #: A projected area below this share of the products it is the sum of: its edge functions are computed without cancellation.
@@ -36,8 +37,15 @@ _SPLITTER = 2.0**27 + 1.0
 
 @inlined
 def inverse(d):
-    """Return 1 / d, for either zero a huge number of its sign."""
-    return 1.0 / d if d != 0.0 else np.copysign(HUGE, d)
+    """Return 1 / d, for either zero the same huge number."""
+    return 1.0 / d if d != 0.0 else HUGE
+
+
+@inlined
+def end_of(t_max, ox, oy, oz, dx, dy, dz):
+    """Return where a ray ends: ``t_max``, or NaN, which no t reaches, if it is none (not finite, or without a direction)."""
+    total = ox + oy + oz + dx + dy + dz  # of float32 numbers: it does not overflow
+    return t_max if total - total == 0.0 and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan
 
 
 @kernel
@@ -57,15 +65,15 @@ def shear(dx, dy, dz, ix, iy, iz):
 
 
 @inlined
-def margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz):
+def margins(core, ox, oy, oz, dx, dy, dz, ix, iy, iz):
     """Return (x, y, z): how far the culling tests are moved along each axis.
 
-    ``bounds[0:6]`` is the box of all triangles. Rounding moves a corner beside the ray by a share of its distance along that
-    axis and of its distance along the ray, times the slope.
+    ``core`` is the flat box of all triangles but the strays. Rounding moves a corner beside the ray by a share of its
+    distance along that axis and of its distance along the ray, times the slope.
     """
-    x = max(abs(bounds[X] - ox), abs(bounds[SECOND] - ox))
-    y = max(abs(bounds[Y] - oy), abs(bounds[SECOND + Y] - oy))
-    z = max(abs(bounds[Z] - oz), abs(bounds[SECOND + Z] - oz))
+    x = max(abs(core[X] - ox), abs(core[SECOND] - ox))
+    y = max(abs(core[Y] - oy), abs(core[SECOND + Y] - oy))
+    z = max(abs(core[Z] - oz), abs(core[SECOND + Z] - oz))
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         along = x * abs(ix)

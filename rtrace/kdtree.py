@@ -22,6 +22,7 @@ from jit import kernel
 from rtrace.clip import POLYGON, split_bounds, value
 from rtrace.nodes import KD_NODE, LEAF, Tree, check_finite, triangle_boxes, words
 from rtrace.sorting import sort
+from rtrace.strays import make_room, slack_of
 from traces.errors import NptraceError
 
 # An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
@@ -230,10 +231,11 @@ def _list_triangles(events, begin, end, fresh):
 def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state):
     """Split cells until none waits (_DONE) or an array is too short for the next step: let it grow and call again.
 
-    Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs).
+    Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs,
+    the limit of ``strays``).
     """
     # Unpacked here: a kernel that takes an array out of a tuple counts references, 10 % of the time.
-    trav, empty_bonus, max_level, max_refs = limits
+    trav, empty_bonus, max_level, max_refs, far = limits
     cell_node, cell_level, cell_refs, ceiling, begin, end, boxes = cells
     side, slot, straddlers, bounds, below, above, kept, cut, fresh, spare, counts, points = scratch
     while state[_WAITING] > 0:
@@ -274,7 +276,10 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
             i, j = begin[3 * cell + k], end[3 * cell + k]
             n_straddlers = _partition(events, k, i, j, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts)
         for i in range(n_straddlers):
-            split_bounds(vertices, straddlers[i], boxes, 6 * cell, axis, plane >> 32, bounds, 6 * i, below, above, points)
+            slack = slack_of(vertices, straddlers[i], far) if far < np.inf else 0.0
+            split_bounds(
+                vertices, straddlers[i], boxes, 6 * cell, axis, plane >> 32, bounds, 6 * i, below, above, points, slack
+            )
         for k in range(3):
             at, n_kept, n_cut = 3 * cell + k, counts[k], counts[3 + k]
             n_fresh = _renew(cut, k, n_cut, slot, above, fresh)
@@ -386,7 +391,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     triangles = np.ascontiguousarray(triangles)
     check_finite(triangles)
     lower, upper = triangle_boxes(triangles)
-    bounds = np.stack((lower.min(axis=0), upper.max(axis=0)))
+    extent = make_room(triangles, lower, upper)
 
     events, counts = _first_events(lower, upper)
     del lower, upper
@@ -397,13 +402,13 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         begin=int64(3 * room), end=int64(3 * room), box=np.empty(6 * room),
     )  # fmt: skip
     cells.node[0], cells.level[0], cells.n_refs[0], cells.ceiling[0] = 0, 0, n, max_refs
-    cells.begin[:3], cells.end[:3], cells.box[:6] = 0, counts, bounds.reshape(6)
+    cells.begin[:3], cells.end[:3], cells.box[:6] = 0, counts, extent.bounds.reshape(6)
     scratch = _Scratch(
         side=np.empty(n, np.uint8), slot=int32(n), straddlers=int32(n),
         bounds=int32(6 * n), below=int32(6 * n), above=int32(6 * n), kept=int64((3, 2 * n)), cut=int64((3, 2 * n)),
         fresh=int64(2 * n), spare=int64(2 * n), counts=int64(9), points=np.empty(3 * POLYGON),
     )  # fmt: skip
-    limits = float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs)
+    limits = float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs), extent.limit
     nodes, prims = np.empty(16 * n + 64, np.uint32), np.empty(8 * n + 64, np.int32)
     state = np.array([1, 1, 0, n, 0], np.int64)
     # As plain tuples: a NamedTuple's class goes into the compile cache, by the name that this module was imported as.
@@ -426,7 +431,8 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     }
     nodes = nodes[: 2 * state[_NODES]].copy().view(KD_NODE)
     prims = prims[: state[_REFS]].copy()
-    return Tree("kdtree", nodes, prims, np.take(triangles, prims, axis=0), triangles, bounds, int(state[_DEEPEST]), params)
+    corners = np.take(triangles, prims, axis=0)
+    return Tree("kdtree", nodes, prims, corners, triangles, extent.bounds, extent.core, int(state[_DEEPEST]), params)
 
 
 @kernel

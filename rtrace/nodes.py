@@ -44,7 +44,9 @@ class Tree(NamedTuple):
     triangles : (n_triangles, 3, 3) float32
         The scene's triangles, in their own order.
     bounds : (2, 3) float32
-        Lower and upper corner of the box of all triangles.
+        Lower and upper corner of the box of all triangles, with the room around strays.
+    core : (2, 3) float32
+        The same of the triangles that are no strays (``rtrace.strays``): what margins are a share of.
     max_level : int
         Level of the deepest node, root 0: also the most entries a traversal stack can hold.
     params : dict
@@ -57,6 +59,7 @@ class Tree(NamedTuple):
     corners: np.ndarray
     triangles: np.ndarray
     bounds: np.ndarray
+    core: np.ndarray
     max_level: int
     params: dict
 

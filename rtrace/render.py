@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,8 @@ import numpy as np
 from rtrace.camera import ORDERS, check_size, format_camera, pixel_order
 from rtrace.nodes import Tree, node_table
 from rtrace.scene import Scene
-from rtrace.shoot import Chunk, shoot
+from rtrace.shoot import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.traverse import NoRoomError
 from rtrace.treecache import cached_tree
 from traces.errors import NptraceError
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
@@ -26,6 +28,8 @@ from traces.writer import RunWriter, refuse_other
 
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
 AHEAD = 1  # chunks traced but not yet written, per thread
+
+_Piece = tuple[int, int, int | None]  # first pixel, the one after the last, which pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +95,8 @@ class Summary(NamedTuple):
 def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterator[Chunk]:
     """Yield the traced chunks in shooting order, at most ``AHEAD`` x threads of them in memory.
 
+    A chunk is as many pixels as ``shoot.MOST_EVENTS`` allows, at most about ``CHUNK``.
+
     Raises
     ------
     ValueError
@@ -101,23 +107,41 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
     frame = scene.camera.frame(shooting.width, shooting.height)
     pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
     batch = shooting.batch or len(pixels)
-    # A batch is never cut: its shadow rays follow all of its primary rays.
-    step = CHUNK if shooting.batch == 0 else batch * max(1, CHUNK // batch)
-    passes: tuple[int | None, ...] = (None,) if shooting.batch else (PRIMARY, SHADOW)
-    jobs = ((start, which) for which in passes for start in range(0, len(pixels), step))
-    waiting: deque[Future[Chunk]] = deque()
+    following = _pieces(len(pixels), batch)
+    waiting: deque[tuple[_Piece, Future[Chunk]]] = deque()
     with ThreadPoolExecutor(threads) as pool:
+
+        def submitted(piece: _Piece) -> tuple[_Piece, Future[Chunk]]:
+            start, stop, which = piece
+            given = tree, frame, scene.light, pixels[start:stop], shooting.width, batch, which, MOST_EVENTS
+            return piece, pool.submit(shoot, *given)
+
+        waiting.extend(map(submitted, islice(following, AHEAD * threads)))
         try:
-            for start, which in jobs:
-                piece = pixels[start : start + step]
-                waiting.append(pool.submit(shoot, tree, frame, scene.light, piece, shooting.width, batch, which))
-                if len(waiting) >= AHEAD * threads:
-                    yield waiting.popleft().result()
             while waiting:
-                yield waiting.popleft().result()
+                piece, future = waiting.popleft()
+                try:
+                    chunk = future.result()
+                except NoRoomError:
+                    waiting.extendleft(map(submitted, reversed(smaller_pieces(piece[0], piece[1], batch, piece[2]))))
+                    continue
+                yield chunk
+                waiting.extend(map(submitted, islice(following, max(AHEAD * threads - len(waiting), 0))))
         finally:
-            for future in waiting:
+            for _, future in waiting:
                 future.cancel()
+
+
+def _pieces(n: int, batch: int) -> Iterator[_Piece]:
+    """Yield the (start, stop, pass) of the chunks of n pixels; of batches beyond a chunk the primary rays come first."""
+    if batch <= CHUNK:
+        step = batch * (CHUNK // batch)
+        yield from ((start, min(start + step, n), None) for start in range(0, n, step))
+        return
+    for first in range(0, n, batch):
+        for which in (PRIMARY, SHADOW):
+            last = min(first + batch, n)
+            yield from ((start, min(start + CHUNK, last), which) for start in range(first, last, CHUNK))
 
 
 def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
@@ -169,7 +193,7 @@ def render(
     Parameters
     ----------
     progress : callable
-        Called with the number of pixels of each chunk that was written.
+        Called with the number of pixels that are done, chunk by chunk.
     """
     fields = SPLIT if tree.kind == "kdtree" else BOX
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
@@ -188,9 +212,9 @@ def render(
             n_hits += chunk.n_hits
             n_shadow += chunk.n_shadow
             n_shadowed += chunk.n_shadowed
-            # The shadow pass shades in full; the primary pass of "all primaries first" leaves every surface lit.
-            picture[chunk.pixels] = chunk.colours
-            progress(len(chunk.pixels))
+            if chunk.is_shaded:
+                picture[chunk.pixels] = chunk.colours
+                progress(len(chunk.pixels))
         run.complete()
         run.image(_png(picture.reshape(shooting.height, shooting.width, 3)))
     n_bytes = sum(file.stat().st_size for file in path.iterdir())

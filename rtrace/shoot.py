@@ -22,6 +22,9 @@ OFFSET = 2.0 * 2.0**-22
 #: A hit near the world's origin has small coordinates, but not a small error: the eye and the triangle's corners enter it in
 #: float64, of which this share of their coordinates is a generous bound.
 LEAST = 2.0**-16
+#: Events of one type of rays that a chunk holds at most, unless a single ray has more: 8 MB, and 19 MB of columns. Usual
+#: chunks hold an eighth of it.
+MOST_EVENTS = 2**21
 
 
 _local = threading.local()  # the memory for the events of this thread's chunk, one Room for each type of rays
@@ -38,6 +41,7 @@ class Chunk(NamedTuple):
     n_hits: int  # primary rays that hit something
     n_shadow: int
     n_shadowed: int
+    is_shaded: bool  # not so after a pass of primary rays, which sees no shadows
 
 
 @kernel
@@ -241,6 +245,7 @@ def shoot(
     width: int,
     batch: int,
     pass_: int | None,
+    most: int | None = None,
 ) -> Chunk:
     """Trace the rays of ``pixels`` and shade them.
 
@@ -253,10 +258,14 @@ def shoot(
         Primary rays shot before their shadow rays.
     pass_ : {None, PRIMARY, SHADOW}
         Record both types of rays, or only one (all primaries first takes two passes).
+    most : int, optional
+        Events of one type of rays that are taken into memory, unless a single ray has more; NoRoomError is raised beyond.
     """
     if not hasattr(_local, "rooms"):
         _local.rooms = Room(), Room()
     rooms = _local.rooms
+    for room in rooms:
+        room.most = most
     primary = primary_rays(frame, pixels, width)
     nothing = np.zeros(len(pixels), np.uint32), np.empty(0, np.uint32)
     if pass_ == SHADOW:
@@ -299,4 +308,16 @@ def shoot(
     )  # fmt: skip
     columns["ray"] = np.arange(n_rays, dtype=np.uint32)
     n_shadow = n_rays if pass_ == SHADOW else n_rays - n
-    return Chunk(columns, accesses, pixels, colours, n_prefetches, n_hits, n_shadow, n_shadowed)
+    return Chunk(columns, accesses, pixels, colours, n_prefetches, n_hits, n_shadow, n_shadowed, pass_ != PRIMARY)
+
+
+def smaller_pieces(start: int, stop: int, batch: int, pass_: int | None) -> list[tuple[int, int, int | None]]:
+    """Return the (start, stop, pass) of pixels that together make the rows of a chunk, in order, and take less memory.
+
+    Halves of whole batches; a single batch is traced twice, first its primary rays, then its shadow rays.
+    """
+    n_batches = -(-(stop - start) // batch)
+    if pass_ is None and n_batches == 1:
+        return [(start, stop, PRIMARY), (start, stop, SHADOW)]
+    middle = start + (n_batches // 2 * batch if pass_ is None else (stop - start) // 2)
+    return [(start, middle, pass_), (middle, stop, pass_)]

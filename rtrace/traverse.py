@@ -19,7 +19,7 @@ import numpy as np
 
 from jit import inlined, kernel
 from rtrace import nodes as layout
-from rtrace.intersect import NO_PRIM, inverse, margins, shear, triangle_t
+from rtrace.intersect import NO_PRIM, end_of, inverse, margins, shear, triangle_t
 from rtrace.lanes import larger, load, pack, scaled_difference, smaller, unpack
 from rtrace.nodes import Tree, words
 from traces import format as contract
@@ -122,12 +122,12 @@ def _request_deep_stack(stack, pp, events, n_events):
 
 @kernel
 def trace_bvh(
-    nodes, meta, prims, corners, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
+    nodes, meta, prims, corners, core, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
 ):
     """Trace rays ``first``... through a BVH; return the first ray that did not fit into ``events``, else their number.
 
     The far child is pushed untested; a node is read and its own box tested when it is visited.
-    ``nodes`` and ``meta`` are the nodes as flat float32 and uint32; ``corners``, ``origin``, ``direction`` are flat.
+    ``nodes`` and ``meta`` are the nodes as flat float32 and uint32; ``corners``, ``core``, ``origin``, ``direction`` are flat.
     ``prim``, ``hit_t`` and ``count`` (accesses of each ray) are filled. Stores into ``events`` are unguarded: between two pops
     a ray writes at most one event per level and one per stack entry, so room for that is checked at each pop.
     """
@@ -146,11 +146,11 @@ def trace_bvh(
         # Bit k: the direction is negative along axis k, so the upper child of a node split there comes first.
         backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
         k, shear_ = shear(dx, dy, dz, ix, iy, iz)
-        px, py, pz = margins(nodes, ox, oy, oz, dx, dy, dz, ix, iy, iz)  # node 0 begins with the box of all triangles
+        px, py, pz = margins(core, ox, oy, oz, dx, dy, dz, ix, iy, iz)
         # The origin as seen from a box's lower and upper faces: so moved that they lie a margin farther out.
         from_lower, from_upper = pack(ox + px, oy + py, oz + pz), pack(ox - px, oy - py, oz - pz)
         scale = pack(ix, iy, iz)
-        best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
+        best, best_prim, near_t = end_of(t_max[i], ox, oy, oz, dx, dy, dz), NO_PRIM, t_min[i]
         sp, pp, node = BOTTOM, BOTTOM, ZERO
         while True:
             b = node * EIGHT
@@ -199,13 +199,29 @@ def trace_bvh(
         if events is not None:
             count[i] = n_events - start
         prim[i] = best_prim if best_prim != NO_PRIM else -1
-        hit_t[i] = best if best_prim != NO_PRIM else np.inf
+        hit_t[i] = best + 0.0 if best_prim != NO_PRIM else np.inf
     return t_min.size
 
 
 @kernel
 def trace_kdtree(
-    nodes, meta, prims, corners, bounds, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
+    nodes,
+    meta,
+    prims,
+    corners,
+    core,
+    bounds,
+    max_level,
+    origin,
+    direction,
+    t_min,
+    t_max,
+    any_hit,
+    first,
+    prim,
+    hit_t,
+    count,
+    events,
 ):
     """Trace rays ``first``... through a kd-tree; as ``trace_bvh``.
 
@@ -228,14 +244,14 @@ def trace_kdtree(
         dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
         ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
         ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
-        px, py, pz = margins(bounds, ox, oy, oz, dx, dy, dz, ix, iy, iz)
+        px, py, pz = margins(core, ox, oy, oz, dx, dy, dz, ix, iy, iz)
         # Per axis: the inverse, and the origin as seen from a plane's near and far side, so moved that it lies a margin
         # farther out. A table: choosing among three variables at every node took a fifth more time.
         seen[ZERO], seen[ONE], seen[TWO] = ix, iy, iz
         seen[FOUR], seen[FIVE], seen[SIX] = ox + np.copysign(px, ix), oy + np.copysign(py, iy), oz + np.copysign(pz, iz)
         seen[EIGHT], seen[NINE], seen[TEN] = ox - np.copysign(px, ix), oy - np.copysign(py, iy), oz - np.copysign(pz, iz)
         backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
-        best, best_prim, near_t = t_max[i], NO_PRIM, t_min[i]
+        best, best_prim, near_t = end_of(t_max[i], ox, oy, oz, dx, dy, dz), NO_PRIM, t_min[i]
         t0, t1 = near_t, best
         for axis in range(THREE):
             near = (backwards >> axis & ONE) * THREE
@@ -300,7 +316,7 @@ def trace_kdtree(
         if events is not None:
             count[i] = n_events - start
         prim[i] = best_prim if best_prim != NO_PRIM else -1
-        hit_t[i] = best if best_prim != NO_PRIM else np.inf
+        hit_t[i] = best + 0.0 if best_prim != NO_PRIM else np.inf
     return t_min.size
 
 
@@ -313,13 +329,13 @@ def trace_brute(tri, origin, direction, t_min, t_max, prim, hit_t):
         ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
         (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz, ix, iy, iz)
         ox, oy, oz = np.float64(origin[i + kx]), np.float64(origin[i + ky]), np.float64(origin[i + kz])
-        best, best_prim = t_max[ray], NO_PRIM
+        best, best_prim = end_of(t_max[ray], ox, oy, oz, dx, dy, dz), NO_PRIM
         for c in range(tri.size // 9):
             t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
             if t >= t_min[ray] and (t < best or (t == best and c < best_prim)):
                 best, best_prim = t, np.int32(c)
         prim[ray] = best_prim if best_prim != NO_PRIM else -1
-        hit_t[ray] = best if best_prim != NO_PRIM else np.inf
+        hit_t[ray] = best + 0.0 if best_prim != NO_PRIM else np.inf
 
 
 def make_rays(
@@ -357,14 +373,23 @@ def trace(tree: Tree, rays: Rays, *, any_hit: bool = False) -> Hits:
     return _trace(tree, rays, any_hit, None)[0]
 
 
+class NoRoomError(Exception):
+    """The events of several rays are more than a Room is to hold; those of fewer rays may fit."""
+
+
 class Room:
     """Memory for the events of a batch, which grows as needed and serves one batch after another.
 
     Fresh memory for every batch costs the system up to half the time of the tracing.
+
+    Parameters
+    ----------
+    most : int, optional
+        Events it holds at most, unless a single ray has more.
     """
 
-    def __init__(self) -> None:
-        self.events = np.empty(0, np.uint32)
+    def __init__(self, most: int | None = None) -> None:
+        self.events, self.most = np.empty(0, np.uint32), most
 
     def grow(self, n_events: int, n_used: int = 0) -> None:
         """Make room for at least so many events; the first ``n_used`` are kept."""
@@ -382,7 +407,7 @@ def trace_recorded(
     Parameters
     ----------
     room : Room, optional
-        Where the events are written; its next use overwrites them.
+        Where the events are written; its next use overwrites them. NoRoomError is raised when they are too many for it.
 
     Returns
     -------
@@ -399,7 +424,7 @@ def _trace(tree: Tree, rays: Rays, any_hit: bool, room: Room | None) -> tuple[Hi
     nodes, meta = words(tree)
     n = len(rays.t_min)
     prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.zeros(n, np.uint32)
-    fixed: tuple[np.ndarray, ...] = (nodes, meta, tree.prims, tree.corners.reshape(-1))
+    fixed: tuple[np.ndarray, ...] = (nodes, meta, tree.prims, tree.corners.reshape(-1), tree.core.reshape(-1))
     kernel_of = trace_bvh
     if tree.kind == "kdtree":
         kernel_of, fixed = trace_kdtree, (*fixed, tree.bounds.reshape(-1))
@@ -408,11 +433,15 @@ def _trace(tree: Tree, rays: Rays, any_hit: bool, room: Room | None) -> tuple[Hi
         kernel_of(*fixed, tree.max_level, *given, 0, prim, t, count, None)
         return Hits(prim, t), count, np.empty(0, np.uint32)
     room.grow(EVENTS_PER_RAY * n + 4 * tree.max_level + 64)
+    if room.most is not None and room.events.size > 4 * room.most:
+        room.events = np.empty(EVENTS_PER_RAY * n + 4 * tree.max_level + 64, np.uint32)  # grown for a single long ray
     first = n_events = 0
     while first < n:
         done = kernel_of(*fixed, tree.max_level, *given, first, prim, t, count, room.events[n_events:])
         n_events += int(count[first:done].sum())
         if done < n:
+            if n > 1 and room.most is not None and room.events.size >= room.most:
+                raise NoRoomError
             room.grow(2 * room.events.size, n_events)
         first = done
     return Hits(prim, t), count, room.events[:n_events]

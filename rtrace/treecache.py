@@ -79,15 +79,18 @@ def _load(path: Path, scene: Scene, kind: str) -> Tree:
         params = json.loads(bytes(arrays["params"]))
         nodes = arrays["nodes"].view(KD_NODE if kind == "kdtree" else BVH_NODE)
         prims, max_level = arrays["prims"], int(arrays["max_level"])
+        bounds, core = arrays["extent"]
     with suppress(OSError):
         os.utime(path)  # lately used: not among the oldest
-    return Tree(kind, nodes, prims, np.take(scene.triangles, prims, axis=0), scene.triangles, scene.bounds, max_level, params)
+    corners = np.take(scene.triangles, prims, axis=0)
+    return Tree(kind, nodes, prims, corners, scene.triangles, bounds, core, max_level, params)
 
 
 def _store(path: Path, tree: Tree) -> None:
     with replacing(path) as temporary, open(temporary, "wb") as file:
         params = np.frombuffer(json.dumps(tree.params).encode(), np.uint8)
-        np.savez(file, nodes=tree.nodes.view(np.uint32), prims=tree.prims, max_level=tree.max_level, params=params)
+        extent, nodes = np.stack((tree.bounds, tree.core)), tree.nodes.view(np.uint32)
+        np.savez(file, nodes=nodes, prims=tree.prims, extent=extent, max_level=tree.max_level, params=params)
 
 
 def _forget_oldest(folder: Path) -> None:

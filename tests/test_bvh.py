@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtrace.bvh import build_bvh
-from rtrace.nodes import LEAF, node_table
+from rtrace.nodes import LEAF, node_table, triangle_boxes
 from rtrace.shapes import boxes, height_field, icosphere, soup
+from rtrace.strays import make_room
 
 coordinate = st.integers(-8, 8).map(float)
 triangle_lists = st.lists(st.lists(coordinate, min_size=9, max_size=9), min_size=1, max_size=40)
@@ -29,6 +30,8 @@ def sah_cost(tree):
 def check_invariants(tree):
     nodes, n = tree.nodes, len(tree.nodes)
     is_leaf = (nodes["meta"] & 3) == LEAF
+    lower, upper = triangle_boxes(tree.triangles)
+    make_room(tree.triangles, lower, upper)
     seen, expected_pair, todo = np.zeros(len(tree.triangles), int), 1, [0]
     while todo:  # depth-first: a pair is numbered when its parent is split
         i = todo.pop()
@@ -37,7 +40,7 @@ def check_invariants(tree):
             ids = tree.prims[first : first + count]
             assert count > 0 and (np.diff(ids) > 0).all()
             seen[ids] += 1
-            corners = tree.triangles[ids].reshape(-1, 3)
+            corners = np.concatenate([lower[ids], upper[ids]])
         else:
             child = int(nodes["child"][i])
             assert child == expected_pair

@@ -233,7 +233,7 @@ def test_margins_are_those_of_the_reference():
         if not direction.any():
             continue
         seen = Seen(tree, origin.tolist(), direction.tolist())
-        pads = margins(tree.bounds.reshape(-1), *origin, *direction, *seen.inverse)
+        pads = margins(tree.core.reshape(-1), *origin, *direction, *seen.inverse)
         signed = np.copysign(pads, seen.inverse)
         assert (origin + signed).tolist() == seen.near and (origin - signed).tolist() == seen.far
 

@@ -39,8 +39,8 @@ class PrefetchUnit:
 
 
 def inverse(d):
-    """Return 1 / d, a huge number for a zero: products with it are never undefined."""
-    return 1.0 / d if d != 0.0 else math.copysign(HUGE, d)
+    """Return 1 / d, a huge number for a zero of either sign: products with it are never undefined."""
+    return 1.0 / d if d != 0.0 else HUGE
 
 
 def triangle_hit(corners, origin, direction):
@@ -98,7 +98,7 @@ class Seen:
     """The ray's origin as seen from the near and the far sides of planes: moved so that planes lie a margin farther out."""
 
     def __init__(self, tree, origin, direction):
-        lower, upper = (b.astype(float).tolist() for b in tree.bounds)
+        lower, upper = (b.astype(float).tolist() for b in tree.core)
         reach = [max(abs(lower[k] - origin[k]), abs(upper[k] - origin[k])) for k in range(3)]
         size = [abs(d) for d in direction]
         z = size.index(max(size))
@@ -132,6 +132,8 @@ def traverse(tree, origin, direction, t_min=0.0, t_max=math.inf, any_hit=False):
     """Return (prim, t, [(node, kind), ...]) for one ray."""
     origin, direction = [float(x) for x in origin], [float(x) for x in direction]
     walk = _traverse_bvh if tree.kind == "bvh" else _traverse_kdtree
+    if not all(map(math.isfinite, origin + direction)) or not any(direction):
+        t_max = math.nan  # that is no ray
     best, events = Nearest(t_min, t_max), []
     walk(tree, origin, direction, best, any_hit, events)
     return (*best.answer(), events)

@@ -46,11 +46,11 @@ struct Packet {
     bool any_hit, fits;
     uint32_t *events[4], n_pushed[4] = {0, 0, 0, 0};  // a ray's events, and its pre-fetch pointer
 
-    Packet(const float* origin, const float* direction, const float* bounds, const double* from, const double* to, int64_t n,
+    Packet(const float* origin, const float* direction, const float* core, const double* from, const double* to, int64_t n,
            bool any_hit_, Slices& slices)
         : any_hit(any_hit_), fits(n >= 4) {
         for (int i = 0; i < 4 && fits; ++i) {
-            rays.emplace_back(origin + 3 * i, direction + 3 * i, bounds);
+            rays.emplace_back(origin + 3 * i, direction + 3 * i, core);
             unsigned s = 0;
             for (int k = 0; k < 3; ++k) s |= static_cast<unsigned>(rays[i].inverse[k] < 0.0) << k;
             fits = i == 0 || (s == signs && rays[i].kz == rays[0].kz);
@@ -142,8 +142,8 @@ struct Packet {
 
 }  // namespace
 
-extern "C" int64_t packets_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners, int max_level,
-                               const float* origin, const float* direction, const double* t_min, const double* t_max,
+extern "C" int64_t packets_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners,
+                               const float* core, int max_level, const float* origin, const float* direction, const double* t_min, const double* t_max,
                                int64_t n_rays, int any_hit, int32_t* prim, double* t, uint32_t* count, uint32_t* events) {
     struct Entry {
         uint32_t node, mask;
@@ -152,9 +152,9 @@ extern "C" int64_t packets_bvh(const float* nodes, const uint32_t* meta, const i
     Slices slices(4);
     int64_t total = 0;
     for (int64_t i = 0; i < n_rays; i += 4) {
-        Packet p(origin + 3 * i, direction + 3 * i, nodes, t_min + i, t_max + i, n_rays - i, any_hit != 0, slices);
+        Packet p(origin + 3 * i, direction + 3 * i, core, t_min + i, t_max + i, n_rays - i, any_hit != 0, slices);
         if (!p.fits) {
-            total += trace_bvh(nodes, meta, prims, corners, max_level, origin + 3 * i, direction + 3 * i, t_min + i, t_max + i,
+            total += trace_bvh(nodes, meta, prims, corners, core, max_level, origin + 3 * i, direction + 3 * i, t_min + i, t_max + i,
                                std::min<int64_t>(4, n_rays - i), any_hit, prim + i, t + i, count + i, events + total);
             continue;
         }
@@ -189,7 +189,7 @@ extern "C" int64_t packets_bvh(const float* nodes, const uint32_t* meta, const i
 }
 
 extern "C" int64_t packets_kdtree(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners,
-                                  const float* bounds, int max_level, const float* origin, const float* direction,
+                                  const float* core, const float* bounds, int max_level, const float* origin, const float* direction,
                                   const double* t_min, const double* t_max, int64_t n_rays, int any_hit, int32_t* prim,
                                   double* t, uint32_t* count, uint32_t* events) {
     struct Entry {
@@ -200,9 +200,9 @@ extern "C" int64_t packets_kdtree(const float* nodes, const uint32_t* meta, cons
     Slices slices(4);
     int64_t total = 0;
     for (int64_t i = 0; i < n_rays; i += 4) {
-        Packet p(origin + 3 * i, direction + 3 * i, bounds, t_min + i, t_max + i, n_rays - i, any_hit != 0, slices);
+        Packet p(origin + 3 * i, direction + 3 * i, core, t_min + i, t_max + i, n_rays - i, any_hit != 0, slices);
         if (!p.fits) {
-            total += trace_kdtree(nodes, meta, prims, corners, bounds, max_level, origin + 3 * i, direction + 3 * i, t_min + i,
+            total += trace_kdtree(nodes, meta, prims, corners, core, bounds, max_level, origin + 3 * i, direction + 3 * i, t_min + i,
                                   t_max + i, std::min<int64_t>(4, n_rays - i), any_hit, prim + i, t + i, count + i,
                                   events + total);
             continue;
@@ -249,7 +249,7 @@ extern "C" int64_t packets_kdtree(const float* nodes, const uint32_t* meta, cons
 
 // The BVH kernel with four rays in flight. The node that a ray visits next is asked for while the others take their turns.
 extern "C" int64_t in_flight_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners,
-                                 int max_level, const float* origin, const float* direction, const double* t_min,
+                                 const float* core, int max_level, const float* origin, const float* direction, const double* t_min,
                                  const double* t_max, int64_t n_rays, int any_hit, int32_t* prim, double* t, uint32_t* count,
                                  uint32_t* events) {
     constexpr int kInFlight = 4;
@@ -267,7 +267,7 @@ extern "C" int64_t in_flight_bvh(const float* nodes, const uint32_t* meta, const
     int64_t next = 0;
     const auto start = [&](int slot) {
         const int64_t i = next++;
-        Flight f{i, Ray(origin + 3 * i, direction + 3 * i, nodes), Best{t_min[i], t_max[i], kNoPrim, any_hit != 0}, 0, 0,
+        Flight f{i, Ray(origin + 3 * i, direction + 3 * i, core), Best{t_min[i], t_max[i], kNoPrim, any_hit != 0}, 0, 0,
                  stacks.data() + slot * (max_level + 1), slices.of(slot), 0, 0};
         for (int k = 0; k < 3; ++k) f.signs |= static_cast<uint32_t>(f.ray.inverse[k] < 0.0) << k;
         return f;

@@ -139,7 +139,7 @@ def call_peer(peer: ctypes.CDLL, tree: Tree, rays: Rays, any_hit: bool, events: 
     """Trace a batch with a C++ peer into ``events`` and return those written, which must be ours."""
     n = len(rays.t_max)
     prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.empty(n, np.uint32)
-    arrays: list = [*words(tree), tree.prims, tree.corners]
+    arrays: list = [*words(tree), tree.prims, tree.corners, tree.core]
     if tree.kind == "kdtree":
         arrays.append(tree.bounds)
     inputs = [*arrays, tree.max_level, rays.origin, rays.direction, rays.t_min, rays.t_max, ctypes.c_int64(n), int(any_hit)]

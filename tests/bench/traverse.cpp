@@ -35,13 +35,13 @@ struct Ray {
     int kx, ky, kz;
     double sx, sy, sz;
 
-    Ray(const float* origin, const float* direction, const float* bounds) {
+    Ray(const float* origin, const float* direction, const float* core) {
         double reach[3];
         for (int k = 0; k < 3; ++k) {
             o[k] = origin[k];
             d[k] = direction[k];
-            inverse[k] = d[k] != 0.0 ? 1.0 / d[k] : std::copysign(std::numeric_limits<double>::max(), d[k]);
-            reach[k] = std::max(std::abs(bounds[k] - o[k]), std::abs(bounds[3 + k] - o[k]));
+            inverse[k] = d[k] != 0.0 ? 1.0 / d[k] : std::numeric_limits<double>::max();
+            reach[k] = std::max(std::abs(core[k] - o[k]), std::abs(core[3 + k] - o[k]));
         }
         const double ax = std::abs(d[0]), ay = std::abs(d[1]), az = std::abs(d[2]);
         kz = ax >= ay && ax >= az ? 0 : (ay >= az ? 1 : 2);
@@ -58,6 +58,13 @@ struct Ray {
             near[k] = o[k] + pad;
             far[k] = o[k] - pad;
         }
+    }
+
+    // Where the ray ends: NaN, which no t reaches, if it is none.
+    double end(double t_max) const {
+        const double total = o[0] + o[1] + o[2] + d[0] + d[1] + d[2];
+        const bool is_ray = total - total == 0.0 && (d[0] != 0.0 || d[1] != 0.0 || d[2] != 0.0);
+        return is_ray ? t_max : std::numeric_limits<double>::quiet_NaN();
     }
 
     // Ray parameter of the hit with the triangle at v, NaN for none (Woop, Benthin, Wald 2013).
@@ -118,14 +125,14 @@ void finish(const Best& best, int32_t* prim, double* t) {
 
 }  // namespace
 
-extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners, int max_level,
-                             const float* origin, const float* direction, const double* t_min, const double* t_max,
+extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners,
+                             const float* core, int max_level, const float* origin, const float* direction, const double* t_min, const double* t_max,
                              int64_t n_rays, int any_hit, int32_t* prim, double* t, uint32_t* count, uint32_t* events) {
     std::vector<uint32_t> stack(max_level + 1);
     Trace trace{events};
     for (int64_t i = 0; i < n_rays; ++i) {
-        const Ray ray(origin + 3 * i, direction + 3 * i, nodes);
-        Best best{t_min[i], t_max[i], kNoPrim, any_hit != 0};
+        const Ray ray(origin + 3 * i, direction + 3 * i, core);
+        Best best{t_min[i], ray.end(t_max[i]), kNoPrim, any_hit != 0};
         int near[3], far[3];
         uint32_t backwards = 0;
         for (int k = 0; k < 3; ++k) {
@@ -174,7 +181,7 @@ extern "C" int64_t trace_bvh(const float* nodes, const uint32_t* meta, const int
 }
 
 extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const int32_t* prims, const float* corners,
-                                const float* bounds, int max_level, const float* origin, const float* direction,
+                                const float* core, const float* bounds, int max_level, const float* origin, const float* direction,
                                 const double* t_min, const double* t_max, int64_t n_rays, int any_hit, int32_t* prim,
                                 double* t, uint32_t* count, uint32_t* events) {
     struct Entry {
@@ -184,8 +191,8 @@ extern "C" int64_t trace_kdtree(const float* nodes, const uint32_t* meta, const 
     std::vector<Entry> stack(max_level + 1);
     Trace trace{events};
     for (int64_t i = 0; i < n_rays; ++i) {
-        const Ray ray(origin + 3 * i, direction + 3 * i, bounds);
-        Best best{t_min[i], t_max[i], kNoPrim, any_hit != 0};
+        const Ray ray(origin + 3 * i, direction + 3 * i, core);
+        Best best{t_min[i], ray.end(t_max[i]), kNoPrim, any_hit != 0};
         const int64_t start = trace.n;
         double t0 = best.t_min, t1 = best.t;
         for (int k = 0; k < 3; ++k) {
