@@ -81,14 +81,16 @@ def load_mesh(path: str | Path, *, strict: bool = False) -> Scene:
     cannot be read.
     """
     path = Path(path)
-    vertices, faces = read_mesh(path)
+    vertices, faces, notes = read_mesh(path)
     stray = np.any((faces < 0) | (faces >= len(vertices)), axis=1)
     if stray.all():
         triangles = np.zeros((len(faces), 3, 3), np.float32)
     else:
         triangles = vertices[np.where(stray[:, None], 0, faces) if stray.any() else faces]
-    name = re.sub(r"[^\w.-]+", "-", path.stem).strip(".-") or "scene"
-    return scene_from_triangles(triangles, name, source=path.name, strict=strict, stray=stray)
+    stem = path.stem.removesuffix(Path(path.stem).suffix) if path.suffix.lower() == ".gz" else path.stem
+    name = re.sub(r"[^\w.-]+", "-", stem).strip(".-") or "scene"
+    said = tuple(f"{path.name}: {note}" for note in notes)
+    return scene_from_triangles(triangles, name, source=path.name, strict=strict, stray=stray, notes=said)
 
 
 def scene_from_triangles(

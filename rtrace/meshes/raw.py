@@ -1,0 +1,37 @@
+"""What a reader of mesh files returns and what it raises."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class RawMesh(NamedTuple):
+    """What a file says, not yet checked.
+
+    Attributes
+    ----------
+    vertices : (n_vertices, 3) float32 or float64
+        May hold NaN and infinities.
+    faces : (n_faces, 3) int64
+        Vertex numbers from 0; may be negative or too large.
+    notes : tuple of str
+        What was read otherwise than the file's author may think; clauses about the file.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+class MeshError(ValueError):
+    """What is wrong with a file, as a clause about it, and the way out."""
+
+    def __init__(self, what: str, way_out: str = "export the mesh again") -> None:
+        super().__init__(what)
+        self.way_out = way_out
+
+
+def show(text: bytes) -> str:
+    """Return the start of a piece of a file in quotes, whatever bytes it has."""
+    more = "..." if len(text) > 40 else ""
+    return repr(text[:40].decode("ascii", "backslashreplace") + more).replace("\\\\", "\\")
