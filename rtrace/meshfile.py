@@ -8,11 +8,15 @@ import zlib
 from collections.abc import Callable
 from gzip import BadGzipFile, GzipFile
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from rtrace.meshes.gltf import read_gltf
 from rtrace.meshes.obj import read_obj
 from rtrace.meshes.off import read_off
 from rtrace.meshes.ply import read_ply
+from rtrace.meshes.polygons import fan, triangulate
 from rtrace.meshes.raw import MeshError, RawMesh
 from rtrace.meshes.stl import read_stl
 
@@ -39,8 +43,29 @@ _PACKED = {
 }
 
 
-def read_mesh(path: Path) -> RawMesh:
-    """Read a mesh file of one of the kinds in ``READERS``, chosen by its suffix. Raises SceneError."""
+class Mesh(NamedTuple):
+    """The triangles of a mesh file, not yet checked.
+
+    Attributes
+    ----------
+    vertices : (n_vertices, 3) float32 or float64
+        May hold NaN and infinities.
+    faces : (n_faces, 3) int64
+        Vertex numbers from 0; may be negative or too large.
+    notes : tuple of str
+        What was read otherwise than the file's author may think; clauses about the file.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def read_mesh(path: Path, *, fans: bool = False) -> Mesh:
+    """Read a mesh file of one of the kinds in ``READERS``, chosen by its suffix. Raises SceneError.
+
+    With ``fans`` every polygon becomes a fan of triangles, also where that covers a notch of it.
+    """
     suffix = Path(path.stem).suffix if path.suffix.lower() == ".gz" else path.suffix
     reader = READERS.get(suffix.lower())
     if reader is None:
@@ -58,11 +83,12 @@ def read_mesh(path: Path) -> RawMesh:
         if not data.strip():
             raise MeshError("the file is empty")
         mesh = reader(data, path)
+        faces, notes = (fan(mesh.lengths, mesh.corners), ()) if fans else triangulate(*mesh[:3])
     except MeshError as error:
         raise SceneError(f"{path}: cannot be read as {kind}: {error}; {error.way_out}") from error
-    if not mesh.faces.size:
+    if not faces.size:
         raise SceneError(f"{path}: there is no triangle or polygon in this {kind} file; export a surface, not points or lines")
-    return mesh
+    return Mesh(mesh.vertices, faces, mesh.notes + notes)
 
 
 def _unpacked(data: bytes) -> bytes:

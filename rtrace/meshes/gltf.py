@@ -37,7 +37,8 @@ def read_gltf(data: bytes, path: Path) -> RawMesh:
         reader.add_node(number)
     if not reader.faces:
         raise MeshError("no mesh with triangles is in its scene", "export a surface, not points or lines")
-    return RawMesh(np.concatenate(reader.vertices), np.concatenate(reader.faces), tuple(reader.notes))
+    faces = np.concatenate(reader.faces)
+    return RawMesh(np.concatenate(reader.vertices), np.full(len(faces), 3), faces.ravel(), tuple(reader.notes))
 
 
 class _Reader:

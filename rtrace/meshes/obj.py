@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrace.meshes.polygons import triangulate
 from rtrace.meshes.raw import MeshError, RawMesh, show
 from rtrace.meshes.text import Text, floats, whole_numbers
 
 #: Statements that have shape but no polygons of their own, and what they are.
 _UNREAD = dict.fromkeys((b"surf", b"curv", b"curv2", b"bzp", b"bsp", b"cdc", b"cdp"), "free-form")
 _UNREAD |= dict.fromkeys((b"call", b"csh"), "in another file")
+#: Lines that are passed over unread, often most of a file.
+_SKIPPED = (b"vn ", b"vt ")
 #: Statements whose last word is a name, in which a backslash is seldom meant to continue the line.
 _NAMES = frozenset((b"g", b"o", b"usemtl", b"mtllib", b"usemap", b"maplib"))
 
@@ -25,7 +26,7 @@ def read_obj(data: bytes, path: Path) -> RawMesh:
     face_lines: list[int] = []
     notes: list[str] = []
     unread: dict[bytes, int] = {}
-    for line, words in text.rows(joins=True):
+    for line, words in text.rows(joins=True, skip=_SKIPPED):
         key = words[0]
         if key == b"v":
             if len(words) < 4:
@@ -56,10 +57,9 @@ def read_obj(data: bytes, path: Path) -> RawMesh:
         known = np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))  # vertices above each face
         corners = np.where(numbers < 0, np.repeat(known, lengths) + numbers, corners)
     vertices = floats(coordinates, lambda k: f"line {vertex_lines[k // 3]}").reshape(-1, 3)
-    triangles, more = triangulate(vertices, lengths, corners)
-    return RawMesh(vertices, triangles, (*_few(notes), *more))
+    return RawMesh(vertices, lengths, corners, _few(notes))
 
 
-def _few(notes: list[str], most: int = 3) -> list[str]:
+def _few(notes: list[str], most: int = 3) -> tuple[str, ...]:
     """Return the first notes, and how many more there are."""
-    return notes if len(notes) <= most else [*notes[:most], f"{len(notes) - most} more lines like these"]
+    return tuple(notes) if len(notes) <= most else (*notes[:most], f"{len(notes) - most} more lines like these")

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrace.meshes.polygons import triangulate
 from rtrace.meshes.raw import MeshError, RawMesh, show
 from rtrace.meshes.text import Text, floats, whole_numbers
 
@@ -61,5 +60,4 @@ def read_off(data: bytes, path: Path) -> RawMesh:
     ends = np.cumsum(lengths)
     numbers = [word for (_, words), length in zip(polygons, lengths.tolist(), strict=True) for word in words[1 : 1 + length]]
     corners = whole_numbers(numbers, lambda k: f"line {polygons[np.searchsorted(ends, k, 'right')][0]}")
-    faces, more = triangulate(vertices, lengths, corners)
-    return RawMesh(vertices, faces, (*notes, *more))
+    return RawMesh(vertices, lengths, corners, tuple(notes))

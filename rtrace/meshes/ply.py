@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtrace.meshes.polygons import strips, triangulate
+from rtrace.meshes.polygons import strips
 from rtrace.meshes.raw import MeshError, RawMesh, show
 from rtrace.meshes.text import Text, floats, plain_text
 
@@ -91,11 +91,10 @@ def read_ply(data: bytes, path: Path) -> RawMesh:
         raise MeshError("its vertices have no x, y and z")
     vertices = np.stack([vertex[axis][1] for axis in (b"x", b"y", b"z")], axis=1) if vertex else np.zeros((0, 3))
     lengths, corners = _lists(found, b"face")
-    faces, notes = triangulate(vertices, lengths, corners)
-    strip_lengths, strip_corners = _lists(found, b"tristrips")
-    if strip_corners.size:
-        faces = np.concatenate([faces, strips(strip_lengths, strip_corners)])
-    return RawMesh(vertices, faces, notes)
+    if b"tristrips" in found:
+        faces = strips(*_lists(found, b"tristrips"))
+        lengths, corners = np.append(lengths, np.full(len(faces), 3)), np.append(corners, faces)
+    return RawMesh(vertices, lengths, corners)
 
 
 def _split(data: bytes) -> tuple[list[list[bytes]], bytes, bool]:

@@ -57,7 +57,7 @@ def triangulate(vertices: np.ndarray, lengths: np.ndarray, corners: np.ndarray) 
     notes = []
     short = np.flatnonzero(np.asarray(lengths) < 3)
     if short.size:
-        notes.append(f"{_polygons(short)} left out: fewer than three corners")
+        notes.append(f"{_polygons(short, 'has', 'have')} fewer than three corners and gives no triangle")
     if not lengths.size or lengths.max() <= 3:
         return faces, tuple(notes)
     owner = np.repeat(np.arange(len(lengths)), np.maximum(lengths - 2, 0))
@@ -79,18 +79,19 @@ def triangulate(vertices: np.ndarray, lengths: np.ndarray, corners: np.ndarray) 
         faces = faces[np.argsort(owner, kind="stable")]
     if bent.size:
         notes.append(
-            f"{_polygons(bent)} not planar (off the plane by up to {100 * depth:.2g} % of the size): "
+            f"{_polygons(bent, 'is', 'are')} not planar (off the plane by up to {100 * depth:.2g} % of the size): "
             "the triangles are one of several readings"
         )
     if crossing:
-        notes.append(f"{_polygons(np.array(crossing))} crossed by an edge of its own: the fan may cover more than is meant")
+        what = _polygons(np.array(crossing), "crosses itself", "cross themselves")
+        notes.append(f"{what} or has no area: its fan may cover more than is meant")
     return faces, tuple(notes)
 
 
-def _polygons(numbers: np.ndarray) -> str:
+def _polygons(numbers: np.ndarray, verb: str, plural: str) -> str:
     if len(numbers) == 1:
-        return f"1 polygon (number {numbers[0]}) is"
-    return f"{len(numbers):,} polygons (the first: number {numbers[0]}) are"
+        return f"1 polygon (number {numbers[0]}) {verb}"
+    return f"{len(numbers):,} polygons (the first: number {numbers[0]}) {plural}"
 
 
 def _examine(

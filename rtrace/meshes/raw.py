@@ -12,14 +12,17 @@ class RawMesh(NamedTuple):
     ----------
     vertices : (n_vertices, 3) float32 or float64
         May hold NaN and infinities.
-    faces : (n_faces, 3) int64
-        Vertex numbers from 0; may be negative or too large.
+    lengths : (n_polygons,) int
+        How many corners each polygon has; may be fewer than three.
+    corners : (sum(lengths),) int64
+        The polygons' vertex numbers from 0, one polygon after another; may be negative or too large.
     notes : tuple of str
         What was read otherwise than the file's author may think; clauses about the file.
     """
 
     vertices: np.ndarray
-    faces: np.ndarray
+    lengths: np.ndarray
+    corners: np.ndarray
     notes: tuple[str, ...] = ()
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrace.meshes.polygons import triangulate
 from rtrace.meshes.raw import MeshError, RawMesh, show
 from rtrace.meshes.text import Text, floats, plain_text
 
@@ -45,7 +44,7 @@ def _read_binary(data: bytes, n: int) -> RawMesh:
     elif promised < len(data):
         notes = (f"{what}: the {len(data) - promised:,} bytes after the triangles are not read",)
     vertices = np.frombuffer(data, _RECORD, n, _HEAD)["vertices"].reshape(-1, 3)
-    return RawMesh(vertices, np.arange(3 * n, dtype=np.int64).reshape(-1, 3), notes)
+    return RawMesh(vertices, np.full(n, 3), np.arange(3 * n, dtype=np.int64), notes)
 
 
 def _read_text(data: bytes) -> RawMesh:
@@ -89,8 +88,7 @@ def _read_text(data: bytes) -> RawMesh:
     notes += _unended(solid, line + 1)
     vertices = floats(coordinates, lambda k: f"line {lines[k // 3]}").reshape(-1, 3)
     lengths = np.diff(np.array(ends, np.int64), prepend=0)
-    faces, more = triangulate(vertices, lengths, np.arange(len(vertices), dtype=np.int64))
-    return RawMesh(vertices, faces, (*notes[:3], *more))
+    return RawMesh(vertices, lengths, np.arange(len(vertices), dtype=np.int64), tuple(notes[:3]))
 
 
 def _called(solid: bytes) -> str:

@@ -51,13 +51,16 @@ class Text:
         self._lines = plain_text(data).splitlines()
         self.joined: set[int] = set()
 
-    def rows(self, *, joins: bool = False) -> Iterator[tuple[int, list[bytes]]]:
+    def rows(self, *, joins: bool = False, skip: tuple[bytes, ...] = ()) -> Iterator[tuple[int, list[bytes]]]:
         """Yield number and words of each line that has words, without its comment.
 
-        With ``joins`` a backslash at the end continues a line in the next; in a comment it does not.
+        With ``joins`` a backslash at the end continues a line in the next; in a comment it does not. Lines that begin with one
+        of ``skip`` are passed over.
         """
         lines = iter(enumerate(self._lines, 1))
         for number, line in lines:
+            if line.startswith(skip) and b"\\" not in line:
+                continue
             if b"#" in line:
                 line = _COMMENT.split(line, maxsplit=1)[0]
             if joins and b"\\" in line:
