@@ -246,7 +246,7 @@ def find_scene(
     own = _in_folder(entry)
     if own is not None:
         if own.suffix.lower() in READERS:
-            scene = load_mesh(own, strict=strict)
+            scene = load_mesh(own, strict=strict, fans=True)
         else:
             scene = fetch.load_archive(own, entry.member or f"{name}.obj", strict=strict)
         return _present(entry, scene, str(own), notify)

@@ -77,7 +77,7 @@ def download(entry: "Entry", folder: Path, notify: Notify, base_url: str | None 
             archive = Path(pooch.retrieve(url, None, fname=Path(urlsplit(url).path).name, path=name, downloader=downloader))
             sha256 = pooch.file_hash(str(archive))
             mesh = _extract(archive, entry.member, Path(name))
-            scene = load_mesh(mesh)._replace(name=entry.name, source=entry.name)
+            scene = load_mesh(mesh, fans=True)._replace(name=entry.name, source=entry.name)
     except (requests.RequestException, ValueError, *_BAD_ARCHIVE) as error:
         reason = str(error).split("\n")[0] or type(error).__name__
         notify(f"{entry.name} could not be downloaded: {reason[:200]}")
@@ -99,7 +99,7 @@ def load_archive(archive: Path, member: str, *, strict: bool = False) -> Scene:
             mesh = _extract(archive, member, Path(name))
         except _BAD_ARCHIVE as error:
             raise SceneError(f"{archive}: cannot be unpacked ({error}); put the mesh itself beside it") from error
-        return load_mesh(mesh, strict=strict)
+        return load_mesh(mesh, strict=strict, fans=True)  # as everybody's counts of these scenes are made
 
 
 def _extract(archive: Path, member: str, folder: Path) -> Path:

@@ -70,25 +70,28 @@ class Scene(NamedTuple):
         return f"{self.name} (stand-in)" if self.stand_in else self.name
 
 
-def load_mesh(path: str | Path, *, strict: bool = False) -> Scene:
+def load_mesh(path: str | Path, *, strict: bool = False, fans: bool = False) -> Scene:
     """Return the scene in a mesh file (OBJ, PLY, STL, GLB, glTF, OFF) with a camera and a light fitted to it, +y up.
 
-    All objects of the file are merged, each moved to its place; polygons become fans of triangles; materials, textures and
-    normals are not read. Vertices that no triangle uses play no part.
+    All objects of the file are merged, each moved to its place; materials, textures and normals are not read. Convex polygons
+    become fans of triangles, and so do all others with ``fans``; without it they are cut so that no notch is covered. Vertices
+    that no triangle uses play no part.
 
     Triangles with NaN or infinite vertices (also those that float32 cannot hold) and with vertex numbers out of range are
     dropped and counted in ``Scene.dropped``. SceneError if nothing is left, if any is dropped and ``strict``, or if the file
     cannot be read.
     """
     path = Path(path)
-    vertices, faces = read_mesh(path)
+    vertices, faces, notes = read_mesh(path, fans=fans)
     stray = np.any((faces < 0) | (faces >= len(vertices)), axis=1)
     if stray.all():
         triangles = np.zeros((len(faces), 3, 3), np.float32)
     else:
         triangles = vertices[np.where(stray[:, None], 0, faces) if stray.any() else faces]
-    name = re.sub(r"[^\w.-]+", "-", path.stem).strip(".-") or "scene"
-    return scene_from_triangles(triangles, name, source=path.name, strict=strict, stray=stray)
+    stem = path.stem.removesuffix(Path(path.stem).suffix) if path.suffix.lower() == ".gz" else path.stem
+    name = re.sub(r"[^\w.-]+", "-", stem).strip(".-") or "scene"
+    said = tuple(f"{path.name}: {note}" for note in notes)
+    return scene_from_triangles(triangles, name, source=path.name, strict=strict, stray=stray, notes=said)
 
 
 def scene_from_triangles(
