@@ -38,7 +38,7 @@ class Workshop:
         self._seen: set[str] = set()
 
     def _restore(self) -> None:
-        keep = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".hypothesis", ".*_cache", "*-kdtree", "*-bvh")
+        keep = shutil.ignore_patterns(".git", ".venv*", "__pycache__", ".hypothesis", ".*_cache", "*-kdtree", "*-bvh")
         for folder in (self._project, self._trees, self._kernels):
             shutil.rmtree(folder, ignore_errors=True)
         shutil.copytree(self._source, self._project, ignore=keep)
