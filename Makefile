@@ -1,8 +1,14 @@
 # Each of `make test` and `make reproduce-table` is all that a fresh clone needs: they make .venv and install into it.
+# With PYTHON=python3.13, say, the environment is another one, .venv-3.13.
 
 PYTHON ?= python3
-BIN := .venv/bin
-INSTALLED := .venv/installed
+ifeq ($(origin PYTHON),file)
+VENV := .venv
+else
+VENV := .venv-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+endif
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/installed
 RUNS ?= traces
 THREADS ?= 2
 PAGES := README.md docs/correctness.md docs/performance.md docs/speed-error.md
@@ -14,11 +20,11 @@ help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 $(INSTALLED): pyproject.toml
-	$(PYTHON) -m venv .venv
+	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
-test: $(INSTALLED) ## Run the tests (with the real scenes too when NPTRACE_SCENES names their folder)
+test: $(INSTALLED) ## Run the tests (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 lint: $(INSTALLED) ## Check style, types and the import rules
@@ -34,10 +40,10 @@ reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and prin
 
 docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
-	$(BIN)/nptrace render bunny conference sibenik sponza --out .venv/runs --overwrite
-	$(BIN)/npcache table1 --traces .venv/runs --format csv -o docs/data/table1.csv
-	$(BIN)/nptrace render blob room nave court --accel bvh --size 320x320 --out .venv/stand-ins --overwrite
-	$(BIN)/python docs/pictures.py docs/scenes.png .venv/stand-ins/*/image.png
+	$(BIN)/nptrace render bunny conference sibenik sponza --out $(VENV)/runs --overwrite
+	$(BIN)/npcache table1 --traces $(VENV)/runs --format csv -o docs/data/table1.csv
+	$(BIN)/nptrace render blob room nave court --accel bvh --size 320x320 --out $(VENV)/stand-ins --overwrite
+	$(BIN)/python docs/pictures.py docs/scenes.png $(VENV)/stand-ins/*/image.png
 	$(BIN)/nptrace check bunny conference sibenik sponza --json > docs/data/embree.json
 	$(BIN)/cog -r $(PAGES)
 
@@ -69,5 +75,5 @@ ifneq ($(ARGS),--quick)
 	$(BIN)/cog -r docs/speed-error.md
 endif
 
-clean: ## Remove the environment and the runs under traces/
-	rm -rf .venv $(wildcard traces/*/)
+clean: ## Remove the environments and the runs under traces/
+	rm -rf .venv .venv-* $(wildcard traces/*/)

@@ -5,9 +5,11 @@ first failure. A mutation that no test notices has survived; the exit status is 
 docs/correctness.md. With words, only mutations that have one of them are tried, and only their lines of FILE change.
 """
 
+import ast
 import csv
 import importlib
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -25,37 +27,40 @@ MUTATIONS = [mutation for name in _LISTS for mutation in importlib.import_module
 class Workshop:
     """A copy of the project in which one thing at a time is broken.
 
-    Compiling takes most of the time, so a broken copy starts with the kernels of the whole one. Numba compiles those of a
-    changed file anew; the files that import it, into whose kernels its own are pasted, are made to look changed. What seems to
-    survive is tried once more with no kernels at all.
+    Compiling takes most of the time, so a broken copy starts with the kernels of the whole one, except those of the changed
+    file and of all that import it, into which its own may be pasted: Numba compares only the file that holds a kernel. Trees
+    are kept from one test to the next, but not from one copy to the next.
     """
 
-    def __init__(self, root: Path) -> None:
-        self._project, self._kernels, self._whole = root / "project", root / "kernels", root / "whole"
+    def __init__(self, root: Path, source: Path = ROOT) -> None:
+        self._source, self._project, self._trees = source, root / "project", root / "trees"
+        self._kernels, self._whole = root / "kernels", root / "whole"
         self._seen: set[str] = set()
 
     def _restore(self) -> None:
-        keep = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".hypothesis", ".*_cache", "*-kdtree", "*-bvh")
-        shutil.rmtree(self._project, ignore_errors=True)
-        shutil.copytree(ROOT, self._project, ignore=keep)
+        keep = shutil.ignore_patterns(".git", ".venv*", "__pycache__", ".hypothesis", ".*_cache", "*-kdtree", "*-bvh")
+        for folder in (self._project, self._trees, self._kernels):
+            shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(self._source, self._project, ignore=keep)
+        self._kernels.mkdir()
         jit = self._project / "jit.py"  # one folder for all kernels, whatever their sources
         text = jit.read_text(encoding="utf-8")
         assert "return digest.hexdigest()[:16]" in text
         jit.write_text(text.replace("return digest.hexdigest()[:16]", 'return "0123456789abcdef"'), encoding="utf-8")
-        stamp = (ROOT / "jit.py").stat()
-        os.utime(jit, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+        if self._whole.exists():
+            shutil.copytree(self._whole, self._kernels, dirs_exist_ok=True)
 
     def _test(self, tests: str) -> str:
         """Return the first test that fails in the copy, "" if none does."""
         environment = {**os.environ, "PYTHONPATH": str(self._project), "NUMBA_CACHE_DIR": str(self._kernels)}
-        environment["HYPOTHESIS_PROFILE"] = "first failure"
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests.split()]
+        environment |= {"HYPOTHESIS_PROFILE": "first failure", "XDG_CACHE_HOME": str(self._trees)}
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *shlex.split(tests)]
         done = subprocess.run(
             command, cwd=self._project, env=environment, capture_output=True, text=True, check=False, timeout=900
         )
         failed = [line.split()[1] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
         if done.returncode not in (0, 1) and not failed:
-            return f"{tests.split()[0]} (crashed)"
+            return f"{shlex.split(tests)[0]} (crashed)"
         return failed[0].removeprefix("tests/") if failed else ""
 
     def _compile_whole(self, tests: str) -> None:
@@ -63,48 +68,51 @@ class Workshop:
         if tests in self._seen:
             return
         self._restore()
-        shutil.rmtree(self._kernels, ignore_errors=True)
-        if self._whole.exists():
-            shutil.copytree(self._whole, self._kernels)
         if failed := self._test(tests):
             raise SystemExit(f"{failed} fails on the project as it is; mend it first")
         shutil.rmtree(self._whole, ignore_errors=True)
-        self._kernels.mkdir(exist_ok=True)  # there are tests without a kernel
         shutil.copytree(self._kernels, self._whole)
         self._seen.add(tests)
 
     def who_notices(self, mutation: Mutation) -> str:
         """Return the test that fails, or "" if the mutation survives."""
         self._compile_whole(mutation.tests)
-        for kernels in (self._whole, None):
-            self._restore()
-            apply(mutation, self._project)
-            for user in users_of(mutation.file, self._project):
-                os.utime(user)
-            shutil.rmtree(self._kernels, ignore_errors=True)
-            if kernels is not None:
-                shutil.copytree(kernels, self._kernels)
-            if test := self._test(mutation.tests):
-                return test
-        return ""
+        self._restore()
+        apply(mutation, self._project)
+        for source in {self._project / mutation.file} | users_of(mutation.file, self._project):
+            forget_kernels(source, self._kernels)
+        return self._test(mutation.tests)
 
 
 def users_of(file: str, folder: Path) -> set[Path]:
     """Return the sources that import a source, directly or through others."""
-    sources = {
-        path: path.read_text(encoding="utf-8")
-        for part in ("rtrace", "cachesim", "traces")
-        for path in folder.glob(f"{part}/*.py")
-    }
+    sources = [path for pattern in ("*.py", "rtrace/*.py", "cachesim/*.py", "traces/*.py") for path in folder.glob(pattern)]
+    imported = {path: imports(path) for path in sources}
     found: set[Path] = set()
     todo = [folder / file]
     while todo:
-        here = todo.pop()
-        name = f"from {here.parent.name}.{here.stem} import"
-        new = {path for path, text in sources.items() if name in text} - found
+        name = ".".join(todo.pop().relative_to(folder).with_suffix("").parts)
+        new = {path for path in sources if name in imported[path]} - found
         found |= new
         todo += new
     return found
+
+
+def imports(path: Path) -> set[str]:
+    """Return the modules that a source imports, at its top or inside a function."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return names
+
+
+def forget_kernels(source: Path, kernels: Path) -> None:
+    """Delete what Numba keeps of one source: ``<folder>_<hash>/<module>.<function>-<line>...``."""
+    for file in kernels.glob(f"*/{source.parent.name}_*/{source.stem}.*"):
+        file.unlink()
 
 
 def apply(mutation: Mutation, folder: Path) -> None:

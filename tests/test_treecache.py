@@ -78,3 +78,16 @@ def test_the_oldest_trees_go_when_the_folder_is_full(tmp_path, scene, monkeypatc
     monkeypatch.setattr(treecache, "MAX_BYTES", max(sizes) * 2)
     cached_tree(scene, "kdtree", tmp_path, max_level=4)
     assert 1 <= len(list(tmp_path.iterdir())) <= 2
+
+
+def test_a_file_is_replaced_and_never_written_in_place(tmp_path, scene):
+    """Another process may be reading it: what it has open stays as it is."""
+    cached_tree(scene, "bvh", tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:-50])
+    damaged = file.read_bytes()
+    with open(file, "rb") as reader:
+        cached_tree(scene, "bvh", tmp_path)
+        assert file.read_bytes() != damaged
+        assert reader.read() == damaged
+    assert list(tmp_path.iterdir()) == [file]
