@@ -98,7 +98,20 @@ def move(rng: Random) -> tuple[dict, list[list[float]]]:
     return {"translation": [x, y, z], "rotation": half, "scale": [s, s, -s]}, rows
 
 
-MEANS = ["nodes", "strip", "fan", "sparse", "sparse zeros", "morph", "node weights", "skin", "instances", "hidden", "short", "points"]
+MEANS = [
+    "nodes",
+    "strip",
+    "fan",
+    "sparse",
+    "sparse zeros",
+    "morph",
+    "node weights",
+    "skin",
+    "instances",
+    "hidden",
+    "short",
+    "points",
+]
 
 
 def write_gltf(rng: Random, folder: Path, triangles: np.ndarray) -> tuple[Path, np.ndarray, tuple[str, ...]]:
@@ -110,7 +123,9 @@ def write_gltf(rng: Random, folder: Path, triangles: np.ndarray) -> tuple[Path, 
         ring = [p for t in here for p in t][:7]
         here = []
         for k in range(len(ring) - 2):
-            here.append([ring[0], *ring[k + 1 : k + 3]] if means == "fan" else [ring[k + k % 2], ring[k + 1 - k % 2], ring[k + 2]])
+            here.append(
+                [ring[0], *ring[k + 1 : k + 3]] if means == "fan" else [ring[k + k % 2], ring[k + 1 - k % 2], ring[k + 2]]
+            )
         points = ring
     else:
         points = [p for t in here for p in t]

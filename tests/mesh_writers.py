@@ -62,7 +62,10 @@ def write_obj(rng: Random, shape: Shape) -> Written:
 
 
 def write_off(rng: Random, shape: Shape) -> Written:
-    options = [rng.choice(["OFF", "off", "Off", "COFF", "NOFF", "STOFF", "CNOFF", "none"]), rng.choice(["own line", "same", "glued"])]
+    options = [
+        rng.choice(["OFF", "off", "Off", "COFF", "NOFF", "STOFF", "CNOFF", "none"]),
+        rng.choice(["own line", "same", "glued"]),
+    ]
     options += [name for name in ("comments", "no edges", "face colours", "blank lines") if rng.random() < 0.3]
     word = "" if options[0] == "none" else options[0]
     counts = f"{len(shape.vertices)} {len(shape.polygons)}" + ("" if "no edges" in options else " 0")
@@ -99,7 +102,9 @@ def write_ply(rng: Random, shape: Shape) -> Written:
     face: list[tuple] = [("list", length, index, lists)]
     if "face flags" in options:
         face = [("short", "flag"), *face, ("list", "uchar", "float", "texcoord")]
-    rows_of_vertices = [[7, *v, 0.5, [1, 2, 3][: k % 3]] if "normals" in options else [*v] for k, v in enumerate(shape.vertices)]
+    rows_of_vertices = [
+        [7, *v, 0.5, [1, 2, 3][: k % 3]] if "normals" in options else [*v] for k, v in enumerate(shape.vertices)
+    ]
     rows_of_faces = [[-3, p, [0.5] * 6] if "face flags" in options else [p] for p in shape.polygons]
     elements = [("vertex", vertex, rows_of_vertices), ("face", face, rows_of_faces)]
     elements = elements[::-1] if "faces first" in options else elements

@@ -98,7 +98,13 @@ def plain_files(triangles: np.ndarray) -> dict[str, bytes]:
     ply += [f"element face {n}", "property list uchar int vertex_indices", "end_header", *off[2:]]
     stl = ["solid s"]
     for k in range(n):
-        stl += ["facet normal 0 0 1", "outer loop", *(f"vertex {row}" for row in rows[3 * k : 3 * k + 3]), "endloop", "endfacet"]
+        stl += [
+            "facet normal 0 0 1",
+            "outer loop",
+            *(f"vertex {row}" for row in rows[3 * k : 3 * k + 3]),
+            "endloop",
+            "endfacet",
+        ]
     binary = b"".join(struct.pack("<12fH", 0, 0, 1, *t.ravel(), 0) for t in triangles)
     texts = {"m.obj": obj, "m.off": off, "m.ply": ply, "t.stl": [*stl, "endsolid s"]}
     files = {name: ("\n".join(lines) + "\n").encode() for name, lines in texts.items()}

@@ -8,7 +8,7 @@ import numpy as np
 
 from rtrace.meshes.polygons import strips
 from rtrace.meshes.raw import MeshError, RawMesh, show
-from rtrace.meshes.text import Text, floats, plain_text
+from rtrace.meshes.text import Text, plain_text
 
 _OLD_NAMES = dict(char="i1", uchar="u1", short="i2", ushort="u2", int="i4", uint="u4", float="f4", double="f8")
 _NEW_NAMES = dict(int8="i1", uint8="u1", int16="i2", uint16="u2", int32="i4", uint32="u4", float32="f4", float64="f8")
@@ -174,9 +174,10 @@ def _text_numbers(body: bytes, n_header_lines: int) -> np.ndarray:
             return np.array(words, np.float64)
         except ValueError:
             pass
-    rows = list(Text(body).rows())
+    text = Text(body)
+    rows = list(text.rows())
     lines = [n_header_lines + line for line, words in rows for _ in words]
-    return floats([word for _, words in rows for word in words], lambda k: f"line {lines[k]}")
+    return text.floats([word for _, words in rows for word in words], lambda k: f"line {lines[k]}")
 
 
 def _lists(found: dict[bytes, dict[bytes, tuple[np.ndarray, np.ndarray]]], name: bytes) -> tuple[np.ndarray, np.ndarray]:

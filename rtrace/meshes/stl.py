@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rtrace.meshes.raw import MeshError, RawMesh, show
-from rtrace.meshes.text import Text, floats, plain_text
+from rtrace.meshes.text import Text, plain_text
 
 _HEAD, _RECORD = 84, np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
 _TEXT = re.compile(rb"\s*(?:solid|facet)\b", re.IGNORECASE)
@@ -49,12 +49,13 @@ def _read_binary(data: bytes, n: int) -> RawMesh:
 
 def _read_text(data: bytes) -> RawMesh:
     """Read text line by line: a facet is what stands between 'outer loop' and 'endloop'; names may be any words."""
+    text = Text(data)
     coordinates: list[bytes] = []
     lines: list[int] = []  # of the vertices
     ends: list[int] = []  # how many vertices stand above each endloop
     solid, in_loop, line = b"", 0, 0
     notes: list[str] = []
-    for line, words in Text(data).rows():
+    for line, words in text.rows():
         key = words[0].lower()
         if key == b"vertex":
             if not in_loop:
@@ -86,7 +87,7 @@ def _read_text(data: bytes) -> RawMesh:
     if in_loop:
         raise MeshError(f"the loop of line {in_loop} does not end: {_called(solid)} is cut off after line {line}")
     notes += _unended(solid, line + 1)
-    vertices = floats(coordinates, lambda k: f"line {lines[k // 3]}").reshape(-1, 3)
+    vertices = text.floats(coordinates, lambda k: f"line {lines[k // 3]}").reshape(-1, 3)
     lengths = np.diff(np.array(ends, np.int64), prepend=0)
     return RawMesh(vertices, lengths, np.arange(len(vertices), dtype=np.int64), tuple(notes[:3]))
 
