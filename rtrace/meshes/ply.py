@@ -144,9 +144,7 @@ def _layout(rows: list[list[bytes]]) -> list[_Element]:
             layout.append(_Element(rest[0], int(rest[1]), []))
         elif key == b"property":
             if len(rest) != (4 if rest[:1] == [b"list"] else 2) or not layout:
-                raise MeshError(
-                    f"{said} is not 'property', type and name, or 'property list', two types and a name, of an element"
-                )
+                raise MeshError(f"{said} is not a property of an element: type and name, or list, two types and name")
             for kind in rest[-3:-1] if rest[0] == b"list" else rest[:1]:
                 if kind not in _TYPES:
                     raise MeshError(f"{said}: {show(kind)} is not a PLY type ({b', '.join(_TYPES).decode()})")

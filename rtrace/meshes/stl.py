@@ -97,6 +97,4 @@ def _called(solid: bytes) -> str:
 
 
 def _unended(solid: bytes, line: int) -> list[str]:
-    return (
-        [f"{_called(solid)} has no endsolid before line {line}: it may be cut off; its whole facets are read"] if solid else []
-    )
+    return [f"{_called(solid)} has no endsolid before line {line} and may be cut off"] if solid else []
