@@ -6,11 +6,14 @@ import gzip
 import json
 import re
 import struct
+import zipfile
 
 import numpy as np
 import pytest
 
+from rtrace.fetch import load_archive
 from rtrace.meshes.polygons import triangulate
+from rtrace.meshes.text import Text
 from rtrace.scene import SceneError, load_mesh
 from tests.test_mesh_corpus import areas
 
@@ -272,3 +275,26 @@ def test_a_scene_that_is_known_by_its_fans_stays_so(tmp_path):
     text = "".join("v {} {} {}\n".format(*p) for p in ARROW) + "f 1 2 3 4 5\n"
     assert areas(load(tmp_path, "m.obj", text).triangles).sum() == pytest.approx(10)
     assert areas(load_mesh(tmp_path / "m.obj", fans=True).triangles).sum() == pytest.approx(14)
+
+
+def test_the_fans_of_a_known_scene_in_an_archive_stay(tmp_path):
+    text = "".join("v {} {} {}\n".format(*p) for p in ARROW) + "f 1 2 3 4 5\n"
+    with zipfile.ZipFile(tmp_path / "known.zip", "w") as archive:
+        archive.writestr("known.obj", text)
+    assert areas(load_archive(tmp_path / "known.zip", "known.obj").triangles).sum() == pytest.approx(14)
+
+
+def test_infinite_numbers_of_microsoft_are_infinite():
+    words = [b"1.#INF00", b"-1.#INF", b"1.#QNAN0", b"-1.#IND"]
+    found = Text(b"").floats(words, str)
+    assert np.isinf(found).tolist() == [True, True, False, False] and np.isnan(found[2:]).all()
+
+
+def test_the_first_byte_of_a_binary_ply_may_look_like_a_line_end(tmp_path):
+    """Lines that end with CR, and a first coordinate whose lowest byte is LF."""
+    header = PLY[: PLY.index("0 0 0")].replace("ascii", "binary_little_endian").replace("\n", "\r").encode()
+    first = struct.unpack("<f", b"\n\0\0\x40")[0]
+    scene = load(
+        tmp_path, "m.ply", header + struct.pack("<9f", first, 0, 0, 1, 0, 0, 1, 1, 0) + struct.pack("<B3i", 3, 0, 1, 2)
+    )
+    assert scene.triangles[0, 0].tolist() == [first, 0, 0]
