@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rtrace.fetch import load_archive
-from rtrace.meshes.polygons import triangulate
+from rtrace.meshes.polygons import strips, triangulate
 from rtrace.meshes.text import Text
 from rtrace.scene import SceneError, load_mesh
 from tests.test_mesh_corpus import areas
@@ -58,37 +58,39 @@ def glb(text, length=None, magic=b"glTF", version=2):
     return struct.pack("<4sIII4s", magic, version, length or 20 + len(text), len(text), b"JSON") + text
 
 
+LEGAL_FILES = [
+    ("m.obj", f"# C:\\scans\\\n{SQUARE}# part \\\nf 1 2 3\nf 1 3 4\n", 1),
+    ("m.obj", f"{SQUARE}f 1 2 \\ \n3 4#end \\\nf 1 2 3\\", 1.5),
+    ("m.obj", f"{SQUARE}f 1 2 \\\n \\\n3 # three\n", 0.5),
+    ("m.obj", f"{SQUARE}f -4/1 -3/1#/2\\\n -2\n".replace("#/2", " "), 0.5),
+    ("m.obj", f"{SQUARE}v 0_0 1 2\n".replace("0_0", "-1.#IND00") + "f 1 2 3\nf 1 2 5#NaN\n", 0.5),
+    ("m.obj", f"{SQUARE}v nan(ind) 1 -nan(snan)\nf 1 2 3\n", 0.5),
+    ("m.obj", f"\n{SQUARE}f 1 2 3\n".encode("utf-16"), 0.5),
+    ("m.obj", f"# x\n{SQUARE}f 1 2 3\n".encode("utf-16-be"), 0.5),
+    ("m.obj.gz", gzip.compress(f"{SQUARE}f 1 2 3\n".encode()), 0.5),
+    ("m.off", "OFF4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n", 0.5),
+    ("m.off", "\ufeffoff 3 1\r0 0 0\r1 0 0\r1 1 0\r3 0 1 2", 0.5),
+    ("m.ply", PLY.replace("\n", "\r"), 0.5),
+    ("m.ply", PLY.replace("element vertex", "comment no end_header \x85 here\nelement vertex").encode("latin-1"), 0.5),
+    ("m.ply", "\ufeff" + PLY, 0.5),
+    ("m.ply", PLY.replace("face 1", "tristrips 1").replace("3 0 1 2", "7 0 1 2 -1 2 0 1"), 1),
+    ("m.stl", f"solid vertex 9 9 9\n{FACET}{FACET}end solid vertex 9 9 9\n", 1),
+    ("m.stl", f"solid\n{FACET.upper()}color 1 0 0\n{FACET}endsolid\n\nSOLID b\n{FACET}ENDSOLID", 1.5),
+    ("m.stl", f"{FACET}{FACET}", 1),
+    ("m.stl", f"solid q\n{FACET.replace('endloop', 'vertex 0 1 0' + chr(10) + 'endloop')}endsolid", 1),
+    ("m.gltf", gltf(), 0.5),
+    ("m.glb", gltf(), 0.5),
+    ("m.glb", glb(gltf()), 0.5),
+    ("m.gltf", gltf(nodes__0__scale=[2, 2, 2], nodes__0__camera=0), 2),
+    ("m.gltf", gltf(scenes=[]), 0.5),
+    ("m.gltf", gltf(meshes__0__primitives__0__extensions={"KHR_draco_mesh_compression": {}}), 0.5),
+    ("m.gltf", gltf(extensionsRequired=["KHR_materials_unlit"]), 0.5),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("name", "data", "area"),
-    [
-        ("m.obj", f"# C:\\scans\\\n{SQUARE}# part \\\nf 1 2 3\nf 1 3 4\n", 1),
-        ("m.obj", f"{SQUARE}f 1 2 \\ \n3 4#end \\\nf 1 2 3\\", 1.5),
-        ("m.obj", f"{SQUARE}f 1 2 \\\n \\\n3 # three\n", 0.5),
-        ("m.obj", f"{SQUARE}f -4/1 -3/1#/2\\\n -2\n".replace("#/2", " "), 0.5),
-        ("m.obj", f"{SQUARE}v 0_0 1 2\n".replace("0_0", "-1.#IND00") + "f 1 2 3\nf 1 2 5#NaN\n", 0.5),
-        ("m.obj", f"{SQUARE}v nan(ind) 1 -nan(snan)\nf 1 2 3\n", 0.5),
-        ("m.obj", f"\n{SQUARE}f 1 2 3\n".encode("utf-16"), 0.5),
-        ("m.obj", f"# x\n{SQUARE}f 1 2 3\n".encode("utf-16-be"), 0.5),
-        ("m.obj.gz", gzip.compress(f"{SQUARE}f 1 2 3\n".encode()), 0.5),
-        ("m.off", "OFF4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n", 0.5),
-        ("m.off", "\ufeffoff 3 1\r0 0 0\r1 0 0\r1 1 0\r3 0 1 2", 0.5),
-        ("m.ply", PLY.replace("\n", "\r"), 0.5),
-        ("m.ply", PLY.replace("element vertex", "comment no end_header \x85 here\nelement vertex").encode("latin-1"), 0.5),
-        ("m.ply", "\ufeff" + PLY, 0.5),
-        ("m.ply", PLY.replace("face 1", "tristrips 1").replace("3 0 1 2", "7 0 1 2 -1 2 0 1"), 1),
-        ("m.stl", f"solid vertex 9 9 9\n{FACET}{FACET}end solid vertex 9 9 9\n", 1),
-        ("m.stl", f"solid\n{FACET.upper()}color 1 0 0\n{FACET}endsolid\n\nSOLID b\n{FACET}ENDSOLID", 1.5),
-        ("m.stl", f"{FACET}{FACET}", 1),
-        ("m.stl", f"solid q\n{FACET.replace('endloop', 'vertex 0 1 0' + chr(10) + 'endloop')}endsolid", 1),
-        ("m.gltf", gltf(), 0.5),
-        ("m.glb", gltf(), 0.5),
-        ("m.glb", glb(gltf()), 0.5),
-        ("m.gltf", gltf(nodes__0__scale=[2, 2, 2], nodes__0__camera=0), 2),
-        ("m.gltf", gltf(scenes=[]), 0.5),
-        ("m.gltf", gltf(meshes__0__primitives__0__extensions={"KHR_draco_mesh_compression": {}}), 0.5),
-        ("m.gltf", gltf(extensionsRequired=["KHR_materials_unlit"]), 0.5),
-    ],
-)  # fmt: skip
+    ("name", "data", "area"), LEGAL_FILES, ids=[f"{k} {name}" for k, (name, *_) in enumerate(LEGAL_FILES)]
+)
 def test_legal_oddities_are_read(tmp_path, name, data, area):
     scene = load(tmp_path, name, data)
     assert areas(scene.triangles).sum() == pytest.approx(area)
@@ -185,29 +187,29 @@ def test_what_cannot_be_read_is_said_with_the_place_and_the_way_out(tmp_path, na
     assert said.startswith(f"{tmp_path / name}: ") and "; " in said and "\n" not in said
 
 
-@pytest.mark.parametrize(
-    ("name", "data", "n", "words"),
-    [
-        ("m.obj", f"{SQUARE}usemtl wood\\\nf 1 2 3\nf 1 3 4\n", 1, r"m.obj: line 5 ends with a backslash: .* 'usemtl'"),
-        ("m.obj", f"{SQUARE}f 1 2 3\nsurf 0 1\n", 1, "line 6: 'surf' has a shape that is free-form and not read"),
-        ("m.obj", f"{SQUARE}call more.obj\nf 1 2 3\n", 1, "line 5: 'call' has a shape that is in another file"),
-        ("m.obj", f"{SQUARE}f 1 2\nf 1 2 3\n", 1, r"1 polygon \(number 0\) has fewer than three corners"),
-        (
-            "m.off",
-            "OFF\n3 1 0\n0 0 0\n1 0 0\n1 1 0\n3 0 1 2\n3 0 1 2\n",
-            1,
-            "line 7 and those after it are beyond the promised",
-        ),
-        (
-            "m.stl",
-            f"solid a\n{FACET}endsolid\nsolid b\n{FACET}",
-            2,
-            "'solid b' has no endsolid before line 18 and may be cut off",
-        ),
-        ("m.gltf", gltf(nodes__0__extensions={"KHR_new_shape": {}}), 1, r"extension KHR_new_shape \(node 0, perhaps others\)"),
-        ("m.gltf", gltf(scenes=[{"nodes": [0]}, {}]), 1, "it has 2 scenes: number 0 is read"),
-    ],
-)
+NOTED_FILES = [
+    ("m.obj", f"{SQUARE}usemtl wood\\\nf 1 2 3\nf 1 3 4\n", 1, r"m.obj: line 5 ends with a backslash: .* 'usemtl'"),
+    ("m.obj", f"{SQUARE}f 1 2 3\nsurf 0 1\n", 1, "line 6: 'surf' has a shape that is free-form and not read"),
+    ("m.obj", f"{SQUARE}call more.obj\nf 1 2 3\n", 1, "line 5: 'call' has a shape that is in another file"),
+    ("m.obj", f"{SQUARE}f 1 2\nf 1 2 3\n", 1, r"1 polygon \(number 0\) has fewer than three corners"),
+    (
+        "m.off",
+        "OFF\n3 1 0\n0 0 0\n1 0 0\n1 1 0\n3 0 1 2\n3 0 1 2\n",
+        1,
+        "line 7 and those after it are beyond the promised",
+    ),
+    (
+        "m.stl",
+        f"solid a\n{FACET}endsolid\nsolid b\n{FACET}",
+        2,
+        "'solid b' has no endsolid before line 18 and may be cut off",
+    ),
+    ("m.gltf", gltf(nodes__0__extensions={"KHR_new_shape": {}}), 1, r"extension KHR_new_shape \(node 0, perhaps others\)"),
+    ("m.gltf", gltf(scenes=[{"nodes": [0]}, {}]), 1, "it has 2 scenes: number 0 is read"),
+]
+
+
+@pytest.mark.parametrize(("name", "data", "n", "words"), NOTED_FILES, ids=[words for *_, words in NOTED_FILES])
 def test_what_may_have_been_meant_otherwise_is_noted(tmp_path, name, data, n, words):
     scene = load(tmp_path, name, data)
     assert len(scene.triangles) == n
@@ -298,3 +300,8 @@ def test_the_first_byte_of_a_binary_ply_may_look_like_a_line_end(tmp_path):
         tmp_path, "m.ply", header + struct.pack("<9f", first, 0, 0, 1, 0, 0, 1, 1, 0) + struct.pack("<B3i", 3, 0, 1, 2)
     )
     assert scene.triangles[0, 0].tolist() == [first, 0, 0]
+
+
+def test_strips_begin_anew_at_minus_one():
+    found = strips(np.array([8, 2, 4]), np.array([0, 1, 2, -1, 2, 0, 1, 3, 4, 5, 9, 8, 7, 6]))
+    assert found.tolist() == [[0, 1, 2], [2, 0, 1], [1, 0, 3], [9, 8, 7], [7, 8, 6]]
