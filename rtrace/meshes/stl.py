@@ -18,16 +18,13 @@ _UNKNOWN = (0, 0xFFFFFFFF)
 def read_stl(data: bytes, path: Path) -> RawMesh:
     """Read an STL file. Raises MeshError.
 
-    Neither the first word nor the count alone tells text from binary: binary files begin with "solid" too, and have wrong
-    counts. A file of just the length that its count asks for is binary; one that begins with a statement, has others at the
-    start of lines and no NUL byte is text; anything else is binary.
+    Neither the first word nor the count tells text from binary: binary files begin with "solid" too, and have wrong counts. A
+    file that begins with a statement, has others at the start of lines and no NUL byte is text; a count has NUL bytes.
     """
-    n = int.from_bytes(data[80:84], "little")
-    if len(data) < _HEAD or len(data) != _HEAD + n * _RECORD.itemsize:
-        text = plain_text(data)
-        if _TEXT.match(text) and b"\0" not in text and _STATEMENT.search(text.replace(b"\r", b"\n")):
-            return _read_text(text)
-    return _read_binary(data, n)
+    text = plain_text(data)
+    if _TEXT.match(text) and b"\0" not in text and _STATEMENT.search(text.replace(b"\r", b"\n")):
+        return _read_text(text)
+    return _read_binary(data, int.from_bytes(data[80:84], "little"))
 
 
 def _read_binary(data: bytes, n: int) -> RawMesh:
