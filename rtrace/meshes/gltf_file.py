@@ -19,7 +19,7 @@ _COMPONENTS: dict[int, np.dtype] = {5120: np.dtype("i1"), 5121: np.dtype("u1"), 
 _COMPONENTS |= {5125: np.dtype("<u4"), 5126: np.dtype("<f4")}
 _N_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 #: An accessor without data stands for zeros; a damaged count must not fill the memory with them.
-_MOST_ZEROS = 1 << 28
+_MOST_ZEROS = 1 << 26
 
 
 class Item:
@@ -100,15 +100,17 @@ class GltfFile:
     """A glTF 2.0 file: ``root`` is its JSON; arrays are read as they are asked for."""
 
     def __init__(self, data: bytes, path: Path) -> None:
-        text, self._chunk = _split_glb(data) if data[:4] == b"glTF" else (data, None)
+        if path.name.lower().removesuffix(".gz").endswith(".glb") and not data.startswith((b"glTF", b"{")):
+            raise MeshError(f"it begins with {show(data[:4])}, not with 'glTF'")
+        text, self._chunk = _split_glb(data) if data.startswith(b"glTF") else (data, None)
         self.root = Item(_parse(text), "the file")
         self._folder = path.parent
         self._buffers: dict[int, bytes] = {}
         self._lists: dict[str, list[Item]] = {}
-        version = self.root.item("asset").text("version", "1.0")  # 1.0 needs no asset
-        least = self.root.item("asset").text("minVersion", "2.0")
-        if not version.startswith("2.") or least != "2.0":
-            raise MeshError(f"it is glTF {version if version[:2] != '2.' else least}, only 2.0 is read", "export glTF 2.0")
+        asset = self.root.item("asset")
+        version = asset.text("minVersion", asset.text("version", "1.0 (it names no version)"))
+        if not version.startswith("2."):
+            raise MeshError(f"it is glTF {version}, only 2.0 is read", "export glTF 2.0")
 
     def at(self, kind: str, number: int, user: str) -> Item:
         """Return the object of a kind ("nodes", "meshes", ...) that ``user`` names by its number."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from rtrace.meshes.raw import MeshError, RawMesh, show
-from rtrace.meshes.text import Text, floats, whole_numbers
+from rtrace.meshes.text import Text
 
 #: Statements that have shape but no polygons of their own, and what they are.
 _UNREAD = dict.fromkeys((b"surf", b"curv", b"curv2", b"bzp", b"bsp", b"cdc", b"cdp"), "free-form")
@@ -50,13 +50,13 @@ def read_obj(data: bytes, path: Path) -> RawMesh:
     if b"/" in data:  # numbers of texture coordinates and normals follow
         corner_words = [word.partition(b"/")[0] for word in corner_words]
     ends = np.cumsum(lengths)
-    numbers = whole_numbers(corner_words, lambda k: f"line {face_lines[np.searchsorted(ends, k, 'right')]}")
+    numbers = text.whole_numbers(corner_words, lambda k: f"line {face_lines[np.searchsorted(ends, k, 'right')]}")
     # Numbers count from 1; negative ones backwards from the latest vertex. 0 is none and becomes -1, out of range.
     corners = numbers - 1
     if numbers.size and numbers.min() < 0:
         known = np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))  # vertices above each face
         corners = np.where(numbers < 0, np.repeat(known, lengths) + numbers, corners)
-    vertices = floats(coordinates, lambda k: f"line {vertex_lines[k // 3]}").reshape(-1, 3)
+    vertices = text.floats(coordinates, lambda k: f"line {vertex_lines[k // 3]}").reshape(-1, 3)
     return RawMesh(vertices, lengths, corners, _few(notes))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rtrace.meshes.raw import MeshError, RawMesh, show
-from rtrace.meshes.text import Text, floats, whole_numbers
+from rtrace.meshes.text import Text
 
 #: The keyword in any case; what is glued to it (as in ModelNet's files) is the first count.
 _KEYWORD = re.compile(rb"(?:ST)?C?N?(4?)OFF(.*)", re.IGNORECASE)
@@ -14,7 +14,8 @@ _KEYWORD = re.compile(rb"(?:ST)?C?N?(4?)OFF(.*)", re.IGNORECASE)
 
 def read_off(data: bytes, path: Path) -> RawMesh:
     """Read the polygons of an OFF text file. Raises MeshError."""
-    rows = list(Text(data).rows())
+    text = Text(data)
+    rows = list(text.rows())
     if not rows:
         raise MeshError("it has nothing but comments")
     line, words = rows[0]
@@ -36,7 +37,7 @@ def read_off(data: bytes, path: Path) -> RawMesh:
     if not rows or len(rows[0][1]) < 2:
         raise MeshError(f"line {rows[0][0] if rows else line}: the numbers of vertices and faces are missing")
     line, words = rows[0]
-    n_vertices, n_faces = whole_numbers(words[:2], lambda k: f"line {line}").tolist()
+    n_vertices, n_faces = text.whole_numbers(words[:2], lambda k: f"line {line}").tolist()
     n_rows = len(rows) - 1
     if n_vertices < 0 or n_faces < 0 or n_rows < n_vertices + n_faces:
         raise MeshError(
@@ -49,9 +50,9 @@ def read_off(data: bytes, path: Path) -> RawMesh:
         if len(words) < 3:
             raise MeshError(f"line {line}: vertex {show(b' '.join(words))} has fewer than three coordinates")
     coordinates = [word for _, words in rows[1 : 1 + n_vertices] for word in words[:3]]
-    vertices = floats(coordinates, lambda k: f"line {rows[1 + k // 3][0]}").reshape(-1, 3)
+    vertices = text.floats(coordinates, lambda k: f"line {rows[1 + k // 3][0]}").reshape(-1, 3)
     polygons = rows[1 + n_vertices : 1 + n_vertices + n_faces]
-    lengths = whole_numbers([words[0] for _, words in polygons], lambda k: f"line {polygons[k][0]}")
+    lengths = text.whole_numbers([words[0] for _, words in polygons], lambda k: f"line {polygons[k][0]}")
     for (line, words), length in zip(polygons, lengths.tolist(), strict=True):
         if not 0 <= length < len(words):
             raise MeshError(
@@ -59,5 +60,5 @@ def read_off(data: bytes, path: Path) -> RawMesh:
             )
     ends = np.cumsum(lengths)
     numbers = [word for (_, words), length in zip(polygons, lengths.tolist(), strict=True) for word in words[1 : 1 + length]]
-    corners = whole_numbers(numbers, lambda k: f"line {polygons[np.searchsorted(ends, k, 'right')][0]}")
+    corners = text.whole_numbers(numbers, lambda k: f"line {polygons[np.searchsorted(ends, k, 'right')][0]}")
     return RawMesh(vertices, lengths, corners, tuple(notes))

@@ -8,7 +8,7 @@ import numpy as np
 
 from rtrace.meshes.polygons import strips
 from rtrace.meshes.raw import MeshError, RawMesh, show
-from rtrace.meshes.text import Text, floats, plain_text
+from rtrace.meshes.text import Text, plain_text
 
 _OLD_NAMES = dict(char="i1", uchar="u1", short="i2", ushort="u2", int="i4", uint="u4", float="f4", double="f8")
 _NEW_NAMES = dict(int8="i1", uint8="u1", int16="i2", uint16="u2", int32="i4", uint32="u4", float32="f4", float64="f8")
@@ -144,9 +144,7 @@ def _layout(rows: list[list[bytes]]) -> list[_Element]:
             layout.append(_Element(rest[0], int(rest[1]), []))
         elif key == b"property":
             if len(rest) != (4 if rest[:1] == [b"list"] else 2) or not layout:
-                raise MeshError(
-                    f"{said} is not 'property', type and name, or 'property list', two types and a name, of an element"
-                )
+                raise MeshError(f"{said} is not a property of an element: type and name, or list, two types and name")
             for kind in rest[-3:-1] if rest[0] == b"list" else rest[:1]:
                 if kind not in _TYPES:
                     raise MeshError(f"{said}: {show(kind)} is not a PLY type ({b', '.join(_TYPES).decode()})")
@@ -174,9 +172,10 @@ def _text_numbers(body: bytes, n_header_lines: int) -> np.ndarray:
             return np.array(words, np.float64)
         except ValueError:
             pass
-    rows = list(Text(body).rows())
+    text = Text(body)
+    rows = list(text.rows())
     lines = [n_header_lines + line for line, words in rows for _ in words]
-    return floats([word for _, words in rows for word in words], lambda k: f"line {lines[k]}")
+    return text.floats([word for _, words in rows for word in words], lambda k: f"line {lines[k]}")
 
 
 def _lists(found: dict[bytes, dict[bytes, tuple[np.ndarray, np.ndarray]]], name: bytes) -> tuple[np.ndarray, np.ndarray]:

@@ -98,39 +98,48 @@ def _examine(
     vertices: np.ndarray, faces: np.ndarray, owner: np.ndarray, lengths: np.ndarray
 ) -> tuple[list[tuple[int, np.ndarray]], np.ndarray, float]:
     """Return which polygons are not their fans, with their normals; which are not planar, and by how much of their size."""
+    nothing: tuple[list[tuple[int, np.ndarray]], np.ndarray, float] = ([], np.zeros(0, np.int64), 0.0)
     at = np.flatnonzero(lengths[owner] > 3)
-    inside = np.all((faces[at] >= 0) & (faces[at] < len(vertices)), axis=1)
-    points = np.asarray(vertices, np.float64)
-    points = points[np.where(inside[:, None], faces[at], 0)] if len(points) else np.zeros((len(at), 3, 3))
+    if not len(vertices):
+        return nothing
     with np.errstate(invalid="ignore"):
-        usable = inside & np.all(np.abs(points) <= _FLOAT32_MAX, axis=(1, 2))
-    whole = np.ones(len(lengths), bool)
-    whole[owner[at[~usable]]] = False
-    chosen = whole[owner[at]]
-    at, points = at[chosen], points[chosen]
+        good = np.append(np.all(np.abs(vertices) <= _FLOAT32_MAX, axis=1), False)
+    listed = faces[at]
+    listed[(listed < 0) | (listed >= len(vertices))] = len(vertices)
+    usable = np.all(good[listed], axis=1)
+    if not usable.all():
+        whole = np.ones(len(lengths), bool)
+        whole[owner[at[~usable]]] = False
+        usable = whole[owner[at]]
+        at, listed = at[usable], listed[usable]
     if not at.size:
-        return [], np.zeros(0, np.int64), 0.0
+        return nothing
     starts = np.flatnonzero(np.diff(owner[at], prepend=-1))
     numbers, group = owner[at][starts], np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(at))))
-    edges = points[:, 1:] - points[:, :1]
-    size = np.maximum.reduceat(np.abs(edges).max(axis=(1, 2)), starts)
-    edges /= np.where(size > 0, size, 1)[group, None, None]
-    areas = np.cross(edges[:, 0], edges[:, 1])
-    normals = np.add.reduceat(areas, starts)
-    lengths_of_normals = np.linalg.norm(normals, axis=1)
-    units = normals / np.where(lengths_of_normals > 0, lengths_of_normals, 1)[:, None]
-    seen = np.abs((areas * units[group]).sum(axis=1))
-    covered = np.add.reduceat(seen, starts)
-    sizes = np.linalg.norm(areas, axis=1)
-    angles = np.add.reduceat(np.arctan2(sizes, (edges[:, 0] * edges[:, 1]).sum(axis=1)), starts)
-    folded = lengths_of_normals <= _SLACK * np.add.reduceat(sizes, starts)  # its parts cancel, or it has no area
-    wrong = (covered - lengths_of_normals > _SLACK * covered) | (angles > 2 * np.pi + _SLACK)
-    wrong |= folded & (np.add.reduceat(sizes, starts) > _SLACK**2)
-    depths = np.maximum.reduceat(np.abs(edges @ units[group][:, :, None])[:, :, 0].max(axis=1), starts)
+    points = np.asarray(vertices, np.float64).T
+    first = points[:, listed[:, 0]]
+    a, b = points[:, listed[:, 1]] - first, points[:, listed[:, 2]] - first  # (3, m): two edges of each triangle
+    size = np.maximum.reduceat(np.maximum(np.abs(a), np.abs(b)).max(axis=0), starts)
+    size[size == 0] = 1
+    a /= size[group]
+    b /= size[group]
+    crosses = np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    normals = np.add.reduceat(crosses, starts, axis=1)
+    heights = np.sqrt((normals**2).sum(axis=0))
+    units = (normals / np.where(heights > 0, heights, 1))[:, group]
+    covered = np.add.reduceat(np.abs((crosses * units).sum(axis=0)), starts)
+    areas = np.add.reduceat(np.sqrt((crosses**2).sum(axis=0)), starts)
+    folded = heights <= _SLACK * areas  # its parts cancel, or it has no area
+    wrong = (covered - heights > _SLACK * covered) | (folded & (areas > _SLACK**2))
+    large = np.flatnonzero(lengths[numbers[group]] > 4)  # a fan of two triangles goes round its corner once at most
+    if large.size:
+        turns = np.arctan2(np.sqrt((crosses[:, large] ** 2).sum(axis=0)), (a[:, large] * b[:, large]).sum(axis=0))
+        wrong |= np.bincount(group[large], turns, len(starts)) > 2 * np.pi + _SLACK
+    depths = np.maximum.reduceat(np.maximum(np.abs((a * units).sum(axis=0)), np.abs((b * units).sum(axis=0))), starts)
     bent = (depths > _FLAT) & ~folded
-    normals[folded] = 0
+    normals[:, folded] = 0
     depth = float(depths[bent].max()) if bent.any() else 0.0
-    return [(int(numbers[k]), normals[k]) for k in np.flatnonzero(wrong)], numbers[bent], depth
+    return [(int(numbers[k]), normals[:, k]) for k in np.flatnonzero(wrong)], numbers[bent], depth
 
 
 def cut_ears(points: np.ndarray, normal: np.ndarray) -> np.ndarray | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rtrace.meshes.raw import MeshError, RawMesh, show
-from rtrace.meshes.text import Text, floats, plain_text
+from rtrace.meshes.text import Text, plain_text
 
 _HEAD, _RECORD = 84, np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attribute", "<u2")])
 _TEXT = re.compile(rb"\s*(?:solid|facet)\b", re.IGNORECASE)
@@ -18,16 +18,13 @@ _UNKNOWN = (0, 0xFFFFFFFF)
 def read_stl(data: bytes, path: Path) -> RawMesh:
     """Read an STL file. Raises MeshError.
 
-    Neither the first word nor the count alone tells text from binary: binary files begin with "solid" too, and have wrong
-    counts. A file of just the length that its count asks for is binary; one that begins with a statement, has others at the
-    start of lines and no NUL byte is text; anything else is binary.
+    Neither the first word nor the count tells text from binary: binary files begin with "solid" too, and have wrong counts. A
+    file that begins with a statement, has others at the start of lines and no NUL byte is text; a count has NUL bytes.
     """
-    n = int.from_bytes(data[80:84], "little")
-    if len(data) < _HEAD or len(data) != _HEAD + n * _RECORD.itemsize:
-        text = plain_text(data)
-        if _TEXT.match(text) and b"\0" not in text and _STATEMENT.search(text.replace(b"\r", b"\n")):
-            return _read_text(text)
-    return _read_binary(data, n)
+    text = plain_text(data)
+    if _TEXT.match(text) and b"\0" not in text and _STATEMENT.search(text.replace(b"\r", b"\n")):
+        return _read_text(text)
+    return _read_binary(data, int.from_bytes(data[80:84], "little"))
 
 
 def _read_binary(data: bytes, n: int) -> RawMesh:
@@ -49,12 +46,13 @@ def _read_binary(data: bytes, n: int) -> RawMesh:
 
 def _read_text(data: bytes) -> RawMesh:
     """Read text line by line: a facet is what stands between 'outer loop' and 'endloop'; names may be any words."""
+    text = Text(data)
     coordinates: list[bytes] = []
     lines: list[int] = []  # of the vertices
     ends: list[int] = []  # how many vertices stand above each endloop
     solid, in_loop, line = b"", 0, 0
     notes: list[str] = []
-    for line, words in Text(data).rows():
+    for line, words in text.rows():
         key = words[0].lower()
         if key == b"vertex":
             if not in_loop:
@@ -86,7 +84,7 @@ def _read_text(data: bytes) -> RawMesh:
     if in_loop:
         raise MeshError(f"the loop of line {in_loop} does not end: {_called(solid)} is cut off after line {line}")
     notes += _unended(solid, line + 1)
-    vertices = floats(coordinates, lambda k: f"line {lines[k // 3]}").reshape(-1, 3)
+    vertices = text.floats(coordinates, lambda k: f"line {lines[k // 3]}").reshape(-1, 3)
     lengths = np.diff(np.array(ends, np.int64), prepend=0)
     return RawMesh(vertices, lengths, np.arange(len(vertices), dtype=np.int64), tuple(notes[:3]))
 
@@ -96,6 +94,4 @@ def _called(solid: bytes) -> str:
 
 
 def _unended(solid: bytes, line: int) -> list[str]:
-    return (
-        [f"{_called(solid)} has no endsolid before line {line}: it may be cut off; its whole facets are read"] if solid else []
-    )
+    return [f"{_called(solid)} has no endsolid before line {line} and may be cut off"] if solid else []

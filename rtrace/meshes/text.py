@@ -5,6 +5,7 @@ are read; a Ctrl-Z or NUL bytes at the end are no text.
 """
 
 import codecs
+import contextlib
 import re
 from collections.abc import Callable, Iterator, Sequence
 
@@ -48,7 +49,9 @@ class Text:
     """The lines of a text file. ``joined`` has, after ``rows``, the numbers of lines that were continued in the next."""
 
     def __init__(self, data: bytes) -> None:
-        self._lines = plain_text(data).splitlines()
+        data = plain_text(data)
+        self._lines = data.splitlines()
+        self._signs = {sign: sign in data for sign in (b"#", b"\\", b"_")}
         self.joined: set[int] = set()
 
     def rows(self, *, joins: bool = False, skip: tuple[bytes, ...] = ()) -> Iterator[tuple[int, list[bytes]]]:
@@ -58,10 +61,11 @@ class Text:
         of ``skip`` are passed over.
         """
         lines = iter(enumerate(self._lines, 1))
+        comments, joins = self._signs[b"#"], joins and self._signs[b"\\"]
         for number, line in lines:
-            if line.startswith(skip) and b"\\" not in line:
+            if skip and line.startswith(skip) and not (joins and b"\\" in line):
                 continue
-            if b"#" in line:
+            if comments and b"#" in line:
                 line = _COMMENT.split(line, maxsplit=1)[0]
             if joins and b"\\" in line:
                 line = self._continued(number, line, lines)
@@ -76,28 +80,26 @@ class Text:
             self.joined.add(number)
         return line
 
+    def floats(self, words: Sequence[bytes], where: Callable[[int], str]) -> np.ndarray:
+        """Return the numbers that words of this text spell, float64; ``where(k)`` says where word k stands, for the error."""
+        with contextlib.suppress(ValueError):
+            if self._no_underscore(words):
+                return np.fromiter(map(float, words), np.float64, len(words))
+        return np.array([_number(word, where, k) for k, word in enumerate(words)], np.float64)
 
-def floats(words: Sequence[bytes], where: Callable[[int], str]) -> np.ndarray:
-    """Return the numbers that words spell, float64; ``where(k)`` says where word k stands, for the error."""
-    try:
-        if b"_" not in b"".join(words):  # Python reads 1_000
-            return np.fromiter(map(float, words), np.float64, len(words))
-    except ValueError:
-        pass
-    return np.array([_number(word, where, k) for k, word in enumerate(words)], np.float64)
+    def whole_numbers(self, words: Sequence[bytes], where: Callable[[int], str]) -> np.ndarray:
+        """Return the whole numbers that words spell, int64; what int64 cannot hold becomes 2^62 or its negative."""
+        with contextlib.suppress(ValueError, OverflowError):
+            if self._no_underscore(words):
+                return np.fromiter(map(int, words), np.int64, len(words))
+        for k, word in enumerate(words):
+            if not _WHOLE.fullmatch(word) or len(word) > 4000:  # Python reads no longer ones
+                raise MeshError(f"{where(k)}: {show(word)} is not a whole number")
+        return np.array([min(max(int(word), -_LARGEST), _LARGEST) for word in words], np.int64)
 
-
-def whole_numbers(words: Sequence[bytes], where: Callable[[int], str]) -> np.ndarray:
-    """Return the whole numbers that words spell, int64; what int64 cannot hold becomes 2^62 or its negative."""
-    try:
-        if b"_" not in b"".join(words):
-            return np.fromiter(map(int, words), np.int64, len(words))
-    except (ValueError, OverflowError):
-        pass
-    for k, word in enumerate(words):
-        if not _WHOLE.fullmatch(word) or len(word) > 4000:  # Python reads no longer ones
-            raise MeshError(f"{where(k)}: {show(word)} is not a whole number")
-    return np.array([min(max(int(word), -_LARGEST), _LARGEST) for word in words], np.int64)
+    def _no_underscore(self, words: Sequence[bytes]) -> bool:
+        """Return whether Python reads nothing as a number that is none, as 1_000."""
+        return not self._signs[b"_"] or b"_" not in b"".join(words)
 
 
 def _number(word: bytes, where: Callable[[int], str], k: int) -> float:
