@@ -7,7 +7,7 @@ import io
 import shlex
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from rtrace.shoot import Chunk, shoot
 from rtrace.treecache import cached_tree
 from traces.errors import NptraceError
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
+from traces.pools import thread_pool
 from traces.writer import RunWriter, refuse_other
 
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
@@ -106,7 +107,7 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
     passes: tuple[int | None, ...] = (None,) if shooting.batch else (PRIMARY, SHADOW)
     jobs = ((start, which) for which in passes for start in range(0, len(pixels), step))
     waiting: deque[Future[Chunk]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
+    with thread_pool(threads) as pool:
         try:
             for start, which in jobs:
                 piece = pixels[start : start + step]
@@ -227,16 +228,13 @@ def render_all(
     twice = next((path for path in paths if paths.count(path) > 1), None)
     if twice is not None:
         raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE")
-    pool = ThreadPoolExecutor(threads)
-    jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
-    try:
+    with thread_pool(threads) as pool:
+        jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             if path.exists() and not overwrite:
                 refuse_other(path, metadata(scene, tree.result(), shooting, tool_version))
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             yield render(scene, tree.result(), shooting, path, threads=threads, tool_version=tool_version, progress=progress)
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # whoever interrupts does not wait for a tree
 
 
 def _png(pixels: np.ndarray) -> bytes:
