@@ -55,8 +55,8 @@ class Shooting:
         check_size(self.width, self.height)
         if self.order not in ORDERS:
             raise NptraceError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
-        if self.batch < 0:
-            raise NptraceError(f"batch must be 0 (all primary rays first) or more, got {self.batch}")
+        if not 0 <= self.batch < 1 << 32:
+            raise NptraceError(f"batch must be 0 (all primary rays first) or up to 2^32 - 1, got {self.batch}; write e.g. 64")
 
 
 class Summary(NamedTuple):

@@ -45,7 +45,7 @@ def test_two_scenes_of_one_name_are_refused_before_anything_is_traced(folder):
 def test_a_name_is_that_of_a_folder_once_per_scene(folder):
     for name in ("../x", "a/b", "", ".", ".x", "-x", "a b"):
         assert f"--name: {name!r} is no name for a run" in run("a/model.obj", *SMALL, "--name", name, code=2)
-    assert "--name is given 1 times for 2 scenes" in run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", code=2)
+    assert "there are 1 --name for 2 SCENE" in run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", code=2)
     assert not (folder / "traces").exists()
 
 
@@ -63,7 +63,7 @@ def test_a_name_changes_no_byte_of_a_run(folder):
         (["a/model.obj", "--size", "8x9"], "height"),
         (["a/model.obj", "--batch", "0"], "batch"),
         (["a/model.obj", "--order", "tile"], "order"),
-        (["a/model.obj", "--camera", "eye=1,2,3 at=0,0,0"], "camera and light"),
+        (["a/model.obj", "--camera", "eye=1,2,3 at=0,0,0"], "camera, light"),
         (["a/model.obj", "--light", "1,2,3"], "light"),
         (["a/model.obj", "--bvh", "binned"], "tree"),
     ],

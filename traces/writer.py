@@ -157,6 +157,8 @@ class RunWriter:
                 _sweep(path)
             self._temp = self._real.with_name(f".{self._real.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
             self._temp.mkdir()
+        except (FileExistsError, NotADirectoryError) as e:
+            raise RunError(f"cannot write {self.path}: {self.path.parent} is no folder; choose another --out") from e
         except OSError as e:
             raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
         self._tables: dict[str, _Table] = {}
@@ -242,7 +244,7 @@ def refuse_other(path: Path, metadata: Mapping[str, Any]) -> None:
         unlike = ["scene"]  # its camera and light are others too
     if found and unlike:
         raise RunError(
-            f"{path} holds another run (of another {' and '.join(unlike)}); replace it with --overwrite, "
+            f"{path} holds another run (of another {', '.join(unlike)}); replace it with --overwrite, "
             "or keep it with --name or another --out"
         )
 
