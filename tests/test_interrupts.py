@@ -8,10 +8,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import cli
 from rtrace.shapes import soup
+from traces.din import RECORD
 
 ROOT = Path(cli.__file__).resolve().parent
 
@@ -19,7 +21,10 @@ ROOT = Path(cli.__file__).resolve().parent
 BUSY = {
     "render": ("nptrace", ["render", "soup.obj", "--accel", "bvh", "--size", "8000x8000"]),
     "check": ("nptrace", ["check", "soup.obj", "--size", "3000x3000"]),
-    "replay": ("npcache", ["replay", "big.din", "--policy", "random", "--assoc", "8"]),
+    "replay": (
+        "npcache",
+        ["replay", "big.din", "--policy", "random,fifo", "--size", "1K,2K,4K,8K,16K,32K", "--assoc", "1,2,4"],
+    ),
     "sweep": ("npcache", ["sweep", "big.din", "--ways", "1..64", "-o", "x.csv"]),
     "estimate": ("npcache", ["estimate", "soup.obj", "--pixels", "8000x8000", "--exact-below", "0", "--resume", "kept"]),
 }
@@ -31,9 +36,9 @@ def inputs(tmp_path_factory):
     lines = ["v {} {} {}".format(*map(float, corner)) for corner in soup(3000, seed=1).reshape(-1, 3)]
     lines += [f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(3000)]
     (folder / "soup.obj").write_text("\n".join(lines))
-    with open(folder / "big.din", "w") as file:
-        for _ in range(200):
-            file.writelines(f"0 {(i * 7919 % 99991) * 32:x}\n" for i in range(100_000))
+    records = np.zeros(8_000_000, RECORD)
+    records["address"], records["size"] = np.arange(records.size) * 7919 % 99991 * 32, 4
+    records.tofile(folder / "big.din")
     return folder
 
 
