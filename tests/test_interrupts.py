@@ -5,6 +5,7 @@ import pty
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 import cli
 from rtrace.shapes import soup
 from traces.din import RECORD
+from traces.pools import thread_pool
 
 ROOT = Path(cli.__file__).resolve().parent
 
@@ -124,3 +126,20 @@ def test_an_ignored_signal_stays_ignored(folder):
     interrupt(process, 0.5)
     assert process.returncode == 0
     assert os.listdir(folder / "traces") == ["soup-bvh"]
+
+
+def test_who_is_interrupted_does_not_wait_for_threads():
+    done = threading.Event()
+    with pytest.raises(SystemExit), thread_pool(1) as pool:
+        pool.submit(done.wait, 20)
+        pool.submit(pytest.fail)
+        began = time.monotonic()
+        raise SystemExit
+    assert time.monotonic() - began < 10
+    done.set()
+    finished = []
+    with pytest.raises(ZeroDivisionError), thread_pool(1) as pool:
+        pool.submit(lambda: (time.sleep(0.2), finished.append(1)))
+        time.sleep(0.05)
+        raise ZeroDivisionError
+    assert finished == [1]

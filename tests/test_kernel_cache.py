@@ -151,17 +151,24 @@ def digests(tmp_path_factory):
     return found
 
 
-def test_a_digest_changes_with_what_its_kernels_stand_on_and_with_nothing_else(digests):
-    kernels, trees, replayed, lists = digests()
-    swapped = digests("traces/format.py", "READ, PUSH, LEAF, PREFETCH = range(4)", "PUSH, READ, LEAF, PREFETCH = range(4)")
-    assert swapped[0] != kernels  # the file has no kernel; those that write and count kinds are in others
-    assert swapped[2] != replayed and swapped[1] == trees and swapped[3] == lists
-    comment = digests("cachesim/reuse.py", new="# more\n")
-    assert comment[0] != kernels and comment[1] == trees
-    assert digests("rtrace/sorting.py", new="# more\n")[1] != trees
-    assert digests("rtrace/treecache.py", new="# more\n")[1] != trees
-    assert digests("cli.py", new="# more\n") == [kernels, trees, replayed, lists]
-    assert digests("jit.py", "nogil=True, ", "")[:2] != [kernels, trees]
+SWAPPED = ("traces/format.py", "READ, PUSH, LEAF, PREFETCH = range(4)", "PUSH, READ, LEAF, PREFETCH = range(4)")
+
+
+def test_swapped_kinds_are_another_folder(digests):
+    """Their file has no kernel: those that write and count kinds are in others."""
+    kernels = digests()[0]
+    assert digests(*SWAPPED)[0] != kernels
+    assert digests("jit.py", "nogil=True, ", "")[0] != kernels
+    assert digests("cli.py", new="# more\n")[0] == kernels
+
+
+def test_trees_and_kernels_change_with_what_they_stand_on_and_with_nothing_else(digests):
+    _, trees, replayed, lists = digests()
+    _, *swapped = digests(*SWAPPED)
+    assert swapped[0] == trees and swapped[1] != replayed and swapped[2] == lists
+    assert digests("cachesim/reuse.py", new="# more\n")[1] == trees
+    for file in ("rtrace/sorting.py", "rtrace/treecache.py", "jit.py"):
+        assert digests(file, new="# more\n")[1] != trees
 
 
 @pytest.mark.parametrize("name", ["numba", "llvmlite", "np"])
