@@ -245,7 +245,7 @@ def print_checks(rows: list[dict[str, Any]], note: str) -> None:
 
 @nptrace.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--to", "form", type=click.Choice(["din"]), required=True, help="DineroIV's input format.")
+@click.option("--to", "form", type=click.Choice(["din"]), default="din", show_default=True, help="DineroIV's input format.")
 @click.option("--binary", is_flag=True, help="DineroIV's binary records instead of text.")
 @click.option(
     "--prefetch",

@@ -82,8 +82,11 @@ class Commands(click.Group):
             return super().invoke(ctx)
         except BrokenPipeError:
             raise  # the reader has enough; click ends quietly
-        except (NptraceError, MemoryError) as e:
-            raise BadInput(str(e) or "there is not enough memory") from e
+        except NptraceError as e:
+            raise BadInput(str(e)) from e
+        except MemoryError as e:
+            reason = f" ({e})" if str(e) else ""
+            raise BadInput(f"there is not enough memory{reason}; take a smaller picture, mesh or cache, or fewer rays") from e
         except OSError as e:
             if e.filename is None and e.errno not in _FULL:
                 raise
@@ -204,7 +207,7 @@ def load_scenes(names: Sequence[str], strict: bool, offline: bool) -> "list[Scen
 def check_run_names(names: Sequence[str], n_scenes: int) -> None:
     """Raise BadInput unless each name, one per scene or none at all, can be that of a folder among the runs."""
     if names and len(names) != n_scenes:
-        raise BadInput(f"--name is given {len(names)} times for {n_scenes} scenes; give it once per SCENE, in their order")
+        raise BadInput(f"there are {len(names)} --name for {n_scenes} SCENE; give as many, in the same order")
     for name in names:
         if not re.fullmatch(r"[\w][\w.-]*", name):
             raise BadInput(f"--name: {name!r} is no name for a run; take letters, digits, _ . and -, the first no . or -")

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ from cachesim.nextuse import NextUse
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.source import RunSource, Source, demand_only, open_source
 from traces.errors import NptraceError
+from traces.pools import thread_pool
 from traces.reader import Run
 
 #: Sets of the smallest filter worth its time: with fewer it keeps most accesses.
@@ -268,7 +269,7 @@ def replay(
             for group in foreseeing:
                 group.look_ahead(events, labels)
     running: list[Future[None]] = []
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with thread_pool(threads or os.cpu_count() or 1) as pool:
         for events, labels in source.events(prefetch):
             # The next batch is decoded and looked up while the caches step over the last one.
             tasks = [task for group in groups for task in group.tasks(events, labels)]

@@ -14,7 +14,7 @@ and random replacement, which have no such order, nor for pre-fetchers that reac
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.reuse import StackDistances, check_one_pass
 from cachesim.source import RunSource, Source, demand_only, open_source
 from traces.errors import NptraceError
+from traces.pools import thread_pool
 from traces.reader import Run
 
 #: Most numbers of ways in one range.
@@ -171,7 +172,7 @@ def sweep(
         by_line.setdefault(config.line_bytes, []).append(config)
     groups = {line_bytes: _Group(source, line_bytes, members, prefetch) for line_bytes, members in by_line.items()}
     running: list[Future[None]] = []
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    with thread_pool(threads or os.cpu_count() or 1) as pool:
         for events, labels in source.events(prefetch):
             # The next batch is decoded and looked up while the passes over the last one run.
             steps = [step for group in groups.values() for step in group.steps(events, labels)]

@@ -9,7 +9,7 @@ import hashlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -21,6 +21,7 @@ from cachesim.layout import addresses
 from cachesim.prefetch import KIND_PREFETCH, REQUEST
 from cachesim.source import NodeLines
 from traces.errors import NptraceError
+from traces.pools import thread_pool
 from traces.whole import whole_file
 
 #: The short warm-up: so many positions, or twice, four times ... as many, until there were so many accesses for each line of
@@ -147,7 +148,7 @@ class UnitCounts:
         jobs = [(u, warm if u in again else 0) for u in dict.fromkeys(map(int, units)) if u not in self._short or u in again]
         # The longest jobs first: none is left over at the end for one thread.
         jobs.sort(key=lambda job: -job[1])
-        with ThreadPoolExecutor(self._threads) as pool:
+        with thread_pool(self._threads) as pool:
             for (unit, long_), (counts, short, settled, before) in zip(jobs, pool.map(self._one, jobs), strict=True):
                 self._counts[unit], self._short[unit], self._before[unit] = counts, short, before
                 if long_:
@@ -223,7 +224,7 @@ class UnitCounts:
         counts, misses = np.zeros((self.n_units, 3)), np.zeros((self.n_units, 3 * len(self._configs)))
         replay = KnownReplay(self._configs, from_start=True)
         waiting: deque[Future[Any]] = deque()
-        with ThreadPoolExecutor(self._threads) as pool:
+        with thread_pool(self._threads) as pool:
             following = iter(pieces)
             for unit, low, stop in pieces:
                 for _, a, b in following:

@@ -7,7 +7,7 @@ import io
 import shlex
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import islice
@@ -24,6 +24,7 @@ from rtrace.traverse import NoRoomError
 from rtrace.treecache import cached_tree
 from traces.errors import NptraceError
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
+from traces.pools import thread_pool
 from traces.writer import RunWriter, refuse_other
 
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
@@ -58,8 +59,8 @@ class Shooting:
         check_size(self.width, self.height)
         if self.order not in ORDERS:
             raise NptraceError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
-        if self.batch < 0:
-            raise NptraceError(f"batch must be 0 (all primary rays first) or more, got {self.batch}")
+        if not 0 <= self.batch < 1 << 32:
+            raise NptraceError(f"batch must be 0 (all primary rays first) or up to 2^32 - 1, got {self.batch}; write e.g. 64")
 
 
 class Summary(NamedTuple):
@@ -109,7 +110,7 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
     batch = shooting.batch or len(pixels)
     following = _pieces(len(pixels), batch)
     waiting: deque[tuple[_Piece, Future[Chunk]]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
+    with thread_pool(threads) as pool:
 
         def submitted(piece: _Piece) -> tuple[_Piece, Future[Chunk]]:
             start, stop, which = piece
@@ -251,16 +252,13 @@ def render_all(
     twice = next((path for path in paths if paths.count(path) > 1), None)
     if twice is not None:
         raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE")
-    pool = ThreadPoolExecutor(threads)
-    jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
-    try:
+    with thread_pool(threads) as pool:
+        jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             if path.exists() and not overwrite:
                 refuse_other(path, metadata(scene, tree.result(), shooting, tool_version))
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             yield render(scene, tree.result(), shooting, path, threads=threads, tool_version=tool_version, progress=progress)
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # whoever interrupts does not wait for a tree
 
 
 def _png(pixels: np.ndarray) -> bytes:

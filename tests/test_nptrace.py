@@ -2,10 +2,6 @@
 
 import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -158,28 +154,3 @@ def test_a_read_only_folder_is_said(folder):
         (folder / "locked").mkdir(mode=0o500)
         target = "locked/runs"
     assert "cannot write" in run("render", "ball.obj", "--size", "8x8", "--out", target, code=2).stderr
-
-
-def test_interrupting_leaves_no_run(folder):
-    command = [
-        sys.executable,
-        "-c",
-        "import cli; cli.nptrace()",
-        "render",
-        "ball.obj",
-        "--accel",
-        "bvh",
-        "--size",
-        "4000x4000",
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(Path(cli.__file__).parent)}
-    process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
-    for _ in range(600):
-        if (folder / "traces").is_dir() and any((folder / "traces").iterdir()):
-            break
-        time.sleep(0.05)
-    time.sleep(0.3)
-    process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)
-    assert process.returncode != 0 and "Traceback" not in stderr
-    assert list((folder / "traces").iterdir()) == []

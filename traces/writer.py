@@ -111,9 +111,14 @@ class _Table:
         self._writer.close()
         self._file.close()
 
-    def abandon(self) -> None:
-        """Close the file handle and ignore what it says: the file is about to be deleted."""
-        self._thread.shutdown(cancel_futures=True)
+    def abandon(self, is_hasty: bool) -> None:
+        """Close the file handle and ignore what it says: the file is about to be deleted.
+
+        In haste the thread is left to what it is doing, and so is the handle, which the end of the program closes.
+        """
+        self._thread.shutdown(wait=not is_hasty, cancel_futures=True)
+        if is_hasty:
+            return
         with suppress(OSError, pa.ArrowException):
             self._writer.close()
         with suppress(OSError, pa.ArrowException):
@@ -152,6 +157,8 @@ class RunWriter:
                 _sweep(path)
             self._temp = self._real.with_name(f".{self._real.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
             self._temp.mkdir()
+        except (FileExistsError, NotADirectoryError) as e:
+            raise RunError(f"cannot write {self.path}: {self.path.parent} is no folder; choose another --out") from e
         except OSError as e:
             raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
         self._tables: dict[str, _Table] = {}
@@ -181,11 +188,11 @@ class RunWriter:
                 self._commit()
                 return
             except BaseException as e:
-                self._discard()
+                self._discard(not isinstance(e, Exception))
                 if isinstance(e, OSError):
                     raise RunError(f"cannot write {self.path}: {e}; nothing was kept") from e
                 raise
-        self._discard()
+        self._discard(not isinstance(exc, Exception))
         if isinstance(exc, OSError) and not isinstance(exc, RunError):
             raise RunError(f"cannot write {self.path}: {exc}; nothing was kept") from exc
 
@@ -215,9 +222,9 @@ class RunWriter:
                     raise
         raise RunError(f"cannot replace {self.path}: other programs keep writing it; choose another --out")
 
-    def _discard(self) -> None:
+    def _discard(self, is_hasty: bool) -> None:
         for table in self._tables.values():
-            table.abandon()
+            table.abandon(is_hasty)
         shutil.rmtree(self._temp, ignore_errors=True)
 
 
@@ -232,11 +239,12 @@ def refuse_other(path: Path, metadata: Mapping[str, Any]) -> None:
             found = dict(json.loads(pq.read_metadata(file).metadata[METADATA_KEY]))
     given = json.loads(json.dumps(metadata))
     scenes = [{key: values.get("scene", {}).get(key) for key in ("sha256", "stand_in")} for values in (found, given)]
-    unlike = [] if scenes[0] == scenes[1] else ["scene"]
-    unlike += [key for key in given if key not in ("tool_version", "command", "scene") and found.get(key) != given[key]]
+    unlike = [key for key in given if key not in ("tool_version", "command", "scene") and found.get(key) != given[key]]
+    if scenes[0] != scenes[1]:
+        unlike = ["scene"]  # its camera and light are others too
     if found and unlike:
         raise RunError(
-            f"{path} holds another run (of another {' and '.join(unlike)}); replace it with --overwrite, "
+            f"{path} holds another run (of another {', '.join(unlike)}); replace it with --overwrite, "
             "or keep it with --name or another --out"
         )
 

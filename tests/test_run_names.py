@@ -1,0 +1,113 @@
+"""The names of runs: two scenes are never one, no run is lost unasked, and every run is found."""
+
+import os
+
+import pytest
+from click.testing import CliRunner
+
+import cli
+from traces.reader import find_runs, open_run
+
+ONE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nf 1 2 3\nf 2 3 4\n"
+TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+SMALL = ["--accel", "bvh", "--size", "8x8"]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, text in (("a", ONE), ("b", TWO)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.obj").write_text(text)
+    return tmp_path
+
+
+def run(*args, code=0):
+    result = CliRunner().invoke(cli.nptrace, ["render", *args])
+    assert result.exit_code == code, result.output
+    return result.stderr.splitlines()[-1]
+
+
+def test_two_scenes_of_one_name_are_refused_before_anything_is_traced(folder):
+    said = "Error: two scenes would both be traces/model-bvh; name them apart with --name, once per SCENE"
+    assert run("a/model.obj", "b/model.obj", *SMALL, code=2) == said
+    assert not (folder / "traces").exists()
+    (folder / "a b.obj").write_text(ONE)
+    (folder / "a-b.obj").write_text(TWO)
+    assert "traces/a-b-bvh" in run("a b.obj", "a-b.obj", *SMALL, code=2)
+    run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", "--name", "y")
+    counts = [open_run(folder / "traces" / f"{name}-bvh").metadata["scene"]["n_triangles"] for name in "xy"]
+    assert counts == [2, 1]
+    said = run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", "--name", "x", code=2)
+    assert "two scenes would both be traces/x-bvh" in said
+
+
+def test_a_name_is_that_of_a_folder_once_per_scene(folder):
+    for name in ("../x", "a/b", "", ".", ".x", "-x", "a b"):
+        assert f"--name: {name!r} is no name for a run" in run("a/model.obj", *SMALL, "--name", name, code=2)
+    assert "there are 1 --name for 2 SCENE" in run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", code=2)
+    assert not (folder / "traces").exists()
+
+
+def test_a_name_changes_no_byte_of_a_run(folder):
+    run("a/model.obj", *SMALL)
+    run("a/model.obj", *SMALL, "--name", "x")
+    for name in os.listdir("traces/model-bvh"):
+        assert (folder / "traces/model-bvh" / name).read_bytes() == (folder / "traces/x-bvh" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("args", "what"),
+    [
+        (["b/model.obj"], "scene"),
+        (["a/model.obj", "--size", "8x9"], "height"),
+        (["a/model.obj", "--batch", "0"], "batch"),
+        (["a/model.obj", "--order", "tile"], "order"),
+        (["a/model.obj", "--camera", "eye=1,2,3 at=0,0,0"], "camera, light"),
+        (["a/model.obj", "--light", "1,2,3"], "light"),
+        (["a/model.obj", "--bvh", "binned"], "tree"),
+    ],
+)
+def test_another_run_of_the_name_is_kept_unless_it_may_be_replaced(folder, args, what):
+    run("a/model.obj", *SMALL)
+    before = open_run("traces/model-bvh").metadata
+    said = run(*SMALL, *args, code=2)
+    assert f"traces/model-bvh holds another run (of another {what}); replace it with --overwrite" in said
+    assert open_run("traces/model-bvh").metadata == before
+    run(*SMALL, *args, "--overwrite")
+    assert open_run("traces/model-bvh").metadata != before
+    assert os.listdir("traces") == ["model-bvh"]
+
+
+def test_the_same_run_replaces_itself_also_from_another_file_and_when_damaged(folder):
+    run("a/model.obj", *SMALL)
+    (folder / "a" / "copy.obj").write_text(ONE)
+    run("a/copy.obj", *SMALL, "--name", "model")
+    for name in ("accesses", "rays", "nodes"):
+        (folder / "traces" / "model-bvh" / f"{name}.parquet").write_bytes(b"PAR1 nothing")
+    run("b/model.obj", *SMALL)  # nothing can be read of the one before
+    assert open_run("traces/model-bvh").metadata["scene"]["n_triangles"] == 1
+
+
+def test_nothing_is_traced_when_one_of_several_runs_would_be_lost(folder):
+    run("b/model.obj", *SMALL, "--name", "second")
+    said = run("a/model.obj", "a/model.obj", *SMALL, "--name", "first", "--name", "second", code=2)
+    assert "traces/second-bvh holds another run (of another scene)" in said
+    assert os.listdir("traces") == ["second-bvh"]
+
+
+def test_a_stand_in_does_not_replace_the_real_scene(folder, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    (folder / "scenes").mkdir()
+    (folder / "scenes" / "bunny.obj").write_text(ONE)
+    monkeypatch.setenv("NPTRACE_SCENES", str(folder / "scenes"))
+    run("bunny", *SMALL, "--offline")
+    monkeypatch.delenv("NPTRACE_SCENES")
+    assert "traces/bunny-bvh holds another run (of another scene" in run("bunny", *SMALL, "--offline", code=2)
+
+
+def test_every_run_is_found_but_hidden_ones(folder):
+    for name in ("_part", "other", "__x"):
+        run("a/model.obj", *SMALL, "--name", name)
+    (folder / "traces" / "other-bvh").rename(folder / "traces" / ".other-bvh")
+    assert [path.name for path in find_runs("traces")] == ["__x-bvh", "_part-bvh"]

@@ -1,0 +1,17 @@
+"""Threads that nobody waits for who is in a hurry."""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+
+@contextmanager
+def thread_pool(threads: int) -> Iterator[ThreadPoolExecutor]:
+    """Yield a pool of threads; Ctrl-C does not wait for what they are at, which may be compiling."""
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield pool
+    except BaseException as e:
+        pool.shutdown(wait=isinstance(e, Exception), cancel_futures=True)
+        raise
+    pool.shutdown()
