@@ -70,7 +70,7 @@ def mutate(seed: int, path: Path, folder: Path) -> Mutated:
             use_dictionary=rng.random() < 0.5, compression=rng.choice(("none", "snappy", "zstd")),
             data_page_size=rng.choice((64, 1 << 20)), version=rng.choice(("1.0", "2.6")), store_schema=rng.random() < 0.5,
         ) as file:  # fmt: skip
-            file.write_table(table, row_group_size=rng.choice((1, 7, 64, 1 << 20)))
+            file.write_table(table, row_group_size=rng.choice((1 if rng.random() < 0.1 else 50, 64, 1 << 20)))
             file.add_key_value_metadata({METADATA_KEY: json.dumps(footer, sort_keys=True).encode()})
     (path / FILES[3]).write_bytes(image)
     if not is_told and any(len(table) != len(good[name][0]) for name, table in tables.items()):

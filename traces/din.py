@@ -107,9 +107,8 @@ def _has_records(head: bytes) -> bool:
     return records.size > 0 and bool(good.all())
 
 
-#: Texts that begin with a byte order mark, and their encodings; the longer marks first.
-_MARKS = {b"\xef\xbb\xbf": "utf-8", b"\xff\xfe\0\0": "utf-32", b"\0\0\xfe\xff": "utf-32", b"\xff\xfe": "utf-16",
-          b"\xfe\xff": "utf-16"}  # fmt: skip
+#: Texts that begin with a byte order mark, and their encodings.
+_MARKS = {b"\xef\xbb\xbf": "utf-8", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
 _TEXT_BYTES = np.array([9, 10, 13, *range(32, 127)], np.uint8)
 
