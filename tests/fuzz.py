@@ -340,6 +340,8 @@ def try_run_values(seed_of: int) -> None:
         model = Cache(config).replay([(node * node_bytes // 32, 11 if is_request else 0) for node, is_request in wanted])
         assert result.accesses.tolist() == model.counts["accesses"] and result.misses.tolist() == model.counts["misses"]
     assert accepted
+    if seed_of % 4:
+        return
     wanted = legal_events(run, "traced")
     assert wanted is not None
     for layout in ("bfs", "dfs", "veb", "treelet:64"):
