@@ -54,6 +54,8 @@ def mutate(seed: int, path: Path, folder: Path) -> Mutated:
     what: list[str] = []
     for _ in range(rng.choice((0, 1, 1, 1, 2, 3))):
         name = rng.choice(list(tables))
+        if len(set(tables[name].column_names)) < len(tables[name].column_names):
+            continue  # two columns of one name: more changes would not say which
         change = rng.choice((_value, _value, _value, _near, _near, _null, _type, _type, _order, _rows, _columns))
         tables[name], said = change(rng, tables[name], SCHEMAS[name].names)
         what.append(f"{name}: {said}")
