@@ -127,8 +127,8 @@ MUTATIONS = [
     Mutation("files: what a failed writer left stays", "traces/whole.py", "        temporary.unlink(missing_ok=True)\n", "        pass\n", f"{SWEEP} -k whole"),
     Mutation("files: what a killed writer left stays", "traces/whole.py", "    _sweep(path)\n", "", f"{FAULTS} -k sweeps"),
     Mutation("format: a damaged picture opens", "traces/reader.py", 'if metadata.get("image_sha256", image) != image:', 'if metadata.get("image_sha256", image) == "":', f"{FAULTS} -k flipped"),
-    Mutation("format: pages are not checked", "traces/reader.py", "pq.ParquetFile(file, page_checksum_verification=True)", "pq.ParquetFile(file)", FORMAT),
-    Mutation("format: a footer that is no object is an error of ours", "traces/reader.py", "except (ValueError, TypeError, KeyError, RecursionError) as e:", "except ValueError as e:", f"{FUZZ} -k footers"),
+    Mutation("format: pages are not checked", "traces/reader.py", "pq.ParquetFile(handle, page_checksum_verification=True)", "pq.ParquetFile(handle)", FORMAT),
+    Mutation("format: a footer that is no object is an error of ours", "traces/reader.py", "except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as e:", "except ValueError as e:", f"{FUZZ} -k footers"),
     Mutation("sweep: a range of ways of any length", SW, "if numbers[-1] - numbers[0] >= MAX_RANGE:", "if numbers[-1] - numbers[0] >= 1 << 20:", f"{SWEEP} -k range"),
     # --- part of a run ---
     Mutation("known: misses of an unknown past are certain", "cachesim/known.py", "counts[1 if carried < 0 else 0] += 1", "counts[0] += 1", "tests/test_known.py"),
