@@ -9,6 +9,7 @@ PRINTED, CHECKS = "tests/test_printed_values.py", "tests/test_checks_printed.py"
 BORDERS, ORDERS, PICTURES = "tests/test_borders.py", "tests/test_orders.py", "tests/test_pictures.py"
 STATE, TREES = "tests/test_state_between_batches.py", "tests/test_treecache.py"
 RENDERED, REPLAYED, SWEPT = PRINTED + " -k test_render", PRINTED + " -k test_replay", PRINTED + " -k test_sweep"
+PLOTTED = PRINTED + " -k plot"
 TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
 
 MUTATIONS = [
@@ -90,6 +91,8 @@ MUTATIONS = [
     Mutation("sweep: miss rate without over all accesses", "cachesim/sweep.py", "ratio(self.demand_misses_without, self.demand_accesses)", "ratio(self.demand_misses_without, self.demand_accesses + self.prefetch_accesses)", SWEPT),
     Mutation("sweep: A is the same as B", "cachesim/sweep.py", "everything, demand = self._streams[0], self._streams[-1]", "everything, demand = self._streams[0], self._streams[0]", SWEPT),
     Mutation("sweep: Parquet's rates as whole numbers", "cachesim/sweep_files.py", "types_of.get(type(value), pa.float64())", "types_of.get(type(value), pa.float32())", SWEPT),
+    Mutation("plot: with and without swapped", "cachesim/sweep_files.py", 'rates = [100.0 * (values[rate] or 0.0)', 'rates = [100.0 * (values["demand_miss_rate_without" if rate == "demand_miss_rate" else "demand_miss_rate"] or 0.0)', PLOTTED),
+    Mutation("plot: shares of one instead of per cent", "cachesim/sweep_files.py", "rates = [100.0 * (values[rate]", "rates = [(values[rate]", PLOTTED),
     # table1
     Mutation("table1: KB of A of 1000 bytes", "cachesim/table1.py", "result.config.line_bytes / 1024", "result.config.line_bytes / 1000", TABLE1),
     Mutation("table1: KB of B of 1000 bytes", "cachesim/table1.py", "result.bytes_from_memory / 1024", "result.bytes_from_memory / 1000", TABLE1),

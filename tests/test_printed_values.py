@@ -223,6 +223,25 @@ def test_sweep(traces, tmp_path, tree):
     assert [dict(zip(table.columns, row, strict=True)) for row in table.fetchall()] == rows
 
 
+def test_a_plot_draws_the_rates(traces, tmp_path, monkeypatch):
+    """Over the sizes, for every number of ways: solid with pre-fetching, dashed without."""
+    axes = pytest.importorskip("matplotlib.axes").Axes
+    drawn, real = [], axes.plot
+    monkeypatch.setattr(
+        axes, "plot", lambda self, x, y, style, **o: drawn.append((x, y, style)) or real(self, x, y, style, **o)
+    )
+    run, sizes = traces / "bunny-bvh", (512, 1024, 2048)
+    call(cli.npcache, "sweep", run, "--size", "512..2K", "--ways", "1,2,full", "--plot", tmp_path / "x.svg")
+    wanted = []
+    for ways in (1, 2, "full"):
+        values = [values_of(run, "bvh", config_of(size, size // 32 if ways == "full" else ways), "traced") for size in sizes]
+        wanted.append((sizes, [100 * value["demand_miss_rate"] for value in values], "-"))
+        without = [100 * value["demand_misses_without"] / value["demand_accesses"] for value in values]
+        wanted.append((sizes, without, "--"))
+    for (x, y, style), (sizes, rates, dashes) in zip(drawn, wanted, strict=True):
+        assert (tuple(x), y, style) == (sizes, pytest.approx(rates), dashes)
+
+
 PAPER_N = {"kdtree": 15.77, "bvh": 27.0}
 NAMES = ("miss_a", "miss_b", "miss_ratio", "kb_a", "kb_b", "kb_ratio", "acpr_a", "acpr_b", "acpr_ratio")
 
