@@ -89,8 +89,10 @@ class _Noticed(event.Listener):
 event.register("numba:compile", _Noticed())
 
 
-def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
+def _in_python(function: Callable[..., Any] | None = None, **options: Any) -> Callable[..., Any]:
     """Return a kernel that is not compiled: NumPy's scalars warn where a processor wraps around, or divides by zero."""
+    if function is None:
+        return _in_python
 
     @wraps(function)
     def run(*args: Any) -> Any:

@@ -165,6 +165,7 @@ def test_the_stack_is_filled_to_its_last_entry(build, least):
     """Inside every box, or crossing every plane, a ray pushes at every level down to the deepest leaf."""
     powers = case_of("a triangle at every power of two")
     tree = build(powers.triangles)
+    tree = tree._replace(core=tree.bounds)  # the margin of the whole scene, which is wider than most of these triangles
     assert max(stack_heights(tree, powers.rays)) == tree.max_level >= least
 
 
