@@ -8,7 +8,7 @@ from rtrace.clip import POLYGON, rank, split_bounds, value
 from rtrace.kdtree import build_kdtree
 from rtrace.nodes import triangle_boxes
 from rtrace.shapes import icosphere
-from rtrace.strays import FAR, SLACK, find_limit, make_room
+from rtrace.strays import FAR, SLACK, find_limit, make_room, margin_note
 from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
 
 BUILDERS = {
@@ -127,3 +127,20 @@ def test_parts_of_a_stray_reach_as_far_around_it():
         at = triangle.reshape(9), 0, cell, 0, 0, rank(np.float32(0)), ranks, 0, below, above, np.empty(3 * POLYGON), slack
         split_bounds(*at)
         assert ((value(below[1]), value(below[4])), (value(above[1]), value(above[4]))) == ys
+
+
+def note_of(triangles, eye):
+    return margin_note(triangles, np.stack([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))]), eye)
+
+
+def test_a_margin_that_is_not_small_is_told():
+    ball = icosphere(3)
+    assert note_of(ball, (2, 1, 1)) is None
+    assert note_of(with_stray(ball, 1e14), (2, 1, 1)) is None  # it has its own room
+    far = note_of(ball, (1e12, 1, 1))
+    assert far is not None and "margin of up to 0.114" in far
+    # As many triangles near as far: the core is that of the far ones, unless a sixteenth is near.
+    few = np.concatenate([ball[:50], np.tile(with_stray(ball, 1e14)[-1:], (1000, 1, 1)) * np.float32(1.5)])
+    many = np.concatenate([ball[:100], few[50:]])
+    few[50:, 1:] = few[50:, :1] + np.float32(1e-3)
+    assert note_of(few, (2, 1, 1)) is not None and note_of(many, (2, 1, 1)) is None
