@@ -11,10 +11,16 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 RUNS ?= traces
 THREADS ?= 2
+# What runs in minutes without compiled kernels: all commands on small inputs, and each kind of kernel against its model.
+NOJIT := tests/test_without_jit.py tests/test_visit_rules.py::test_what_is_no_ray_hits_nothing_and_visits_the_root_at_most \
+	tests/test_traverse.py::test_interval_ends_belong_to_the_interval tests/test_traverse.py::test_visits_and_hits_on_a_lattice \
+	tests/test_bvh.py::test_binned_equals_brute_force tests/test_bvh.py::test_sweep_equals_brute_force \
+	tests/test_cachesim_replay.py::test_every_count_is_that_of_the_model \
+	tests/test_cachesim_sweep.py::test_cells_are_those_of_the_model tests/test_cachesim_opt.py::test_every_count_is_that_of_the_model
 PAGES := README.md docs/correctness.md docs/performance.md docs/speed-error.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test bench lint docs docs-check correctness fuzz speed-error reproduce-table clean
+.PHONY: help test test-nojit bench lint docs docs-check correctness fuzz speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +32,9 @@ $(INSTALLED): pyproject.toml
 
 test: $(INSTALLED) ## Run the tests (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-nojit: $(INSTALLED) ## Run the tests of the kernels as plain Python (NUMBA_DISABLE_JIT=1), a few minutes
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -p no:cacheprovider $(NOJIT) $(PYTEST_ARGS)
 
 lint: $(INSTALLED) ## Check style, types and the import rules
 	$(BIN)/ruff check .

@@ -118,6 +118,7 @@ def render(
     from rtrace.camera import parse_camera, parse_point, parse_size
     from rtrace.render import Shooting, render_all
     from rtrace.scene import seen_from
+    from rtrace.strays import margin_note
 
     check_run_names(run_names, len(names))
     shooting = Shooting(*parse_size(size), order, batch, seed)
@@ -128,7 +129,9 @@ def render(
     for scene in scenes:
         if scene.precision is not None:
             click.echo(f"{scene.label}: {precision.choice(scene.precision)}", err=True)
-    n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen) * (1 if batch else 2)
+        if note := margin_note(scene.triangles, scene.bounds, scene.camera.eye):
+            click.echo(f"{scene.label}: {note}", err=True)
+    n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen)
     with progress_bar("trace", n_pixels) as progress:
         summaries = render_all(
             scenes, chosen, shooting, out, names=run_names, overwrite=overwrite, threads=threads,

@@ -210,8 +210,10 @@ def kernel(function: Callable[..., Any] | None = None, *, is_kept: bool = True, 
     return made
 
 
-def _in_python(function: Callable[..., Any]) -> Callable[..., Any]:
+def _in_python(function: Callable[..., Any] | None = None, **options: Any) -> Callable[..., Any]:
     """Return a kernel that is not compiled: NumPy's scalars warn where a processor wraps around, or divides by zero."""
+    if function is None:
+        return _in_python
 
     @wraps(function)
     def run(*args: Any) -> Any:

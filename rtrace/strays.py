@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jit import kernel
+from rtrace.intersect import PAD
+from rtrace.nodes import triangle_boxes
 
 #: A stray has a coordinate more than so many times as large as the largest of a triangle near the origin: of the sixteenth
 #: of the triangles that are nearest, the farthest. The margin is 2^-44 of the core, so then 2^-28 of that.
@@ -19,6 +21,9 @@ FAR, NEAR = 2.0**16, 16
 #: the core, |c| <= |V|, and a slope of at most 1, V_k - o_k is at most 2 |V| + |c_k - o_k|: the first part, along both axes
 #: that count, is 4 |V| times the 2^-46 of ``intersect.PAD``, the second is in the ray's margin. Half of this.
 SLACK = 2.0**-43
+
+#: A margin above this share of the median triangle's width is worth a warning: visits are no longer those of the geometry.
+LARGE = 2.0**-6
 
 _SAMPLE = 4096  # triangles looked at to tell what is near
 _LARGEST = float(np.finfo(np.float32).max)
@@ -77,6 +82,28 @@ def make_room(triangles: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Ex
     lower[strays] = _rounded_down(lower[strays] - slack)
     upper[strays] = -_rounded_down(-(upper[strays] + slack))
     return Extent(np.stack((lower.min(axis=0), upper.max(axis=0))), core, limit, strays)
+
+
+def margin_note(triangles: np.ndarray, bounds: np.ndarray, eye: tuple[float, float, float]) -> str | None:
+    """Return what a user must know when the margin of rays from the eye is no longer small beside the triangles, else None.
+
+    ``bounds`` is the box of all triangles, (2, 3) float32.
+    """
+    some = triangles[:: max(1, len(triangles) // _SAMPLE)]
+    width = float(np.median((some.max(axis=1) - some.min(axis=1)).max(axis=1)))
+    if 2 * PAD * _reach(bounds, eye) <= LARGE * width:
+        return None
+    margin = 2 * PAD * _reach(make_room(triangles, *triangle_boxes(triangles)).core, eye)
+    if margin <= LARGE * width:
+        return None
+    return (
+        f"boxes and planes are tested with a margin of up to {margin:.3g}, and half of the triangles are no wider than "
+        f"{width:.3g}: rays visit nodes that they pass by; move the camera nearer, or leave out what is so far away"
+    )
+
+
+def _reach(box: np.ndarray, eye: tuple[float, float, float]) -> float:
+    return float(np.abs(np.subtract(box, eye, dtype=np.float64)).max())
 
 
 def _rounded_down(values: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from rtrace.camera import (
     parse_size,
     pixel_order,
 )
+from rtrace.shoot import primary_rays
 
 number = st.floats(-1e6, 1e6)
 
@@ -39,12 +40,42 @@ def test_the_frame_points_through_pixel_centres():
         (dict(eye=(0, 0, 5), look_at=(0, 0, 0), fov=0), "between 0 and 180"),
         (dict(eye=(0, 0, 5), look_at=(0, 0, 0), fov=180), "between 0 and 180"),
         (dict(eye=(0, 0, 5), look_at=(0, 0, 0), fov=math.nan), "between 0 and 180"),
+        (dict(eye=(0, 0, 5), look_at=(0, 0, 0), fov=1e-300), "at least 2e-05"),
+        (dict(eye=(0, 0, 5), look_at=(0, 0, 0), fov=math.inf), "between 0 and 180"),
         (dict(eye=(0, math.inf, 5), look_at=(0, 0, 0)), "eye"),
+        (dict(eye=(0, math.nan, 5), look_at=(0, 0, 0)), "eye"),
+        (dict(eye=(0, 0, 5), look_at=(0, math.nan, 0)), "look_at"),
+        (dict(eye=(0, 0, 5), look_at=(0, 0, 0), up=(0, math.inf, 0)), "up"),
+        (dict(eye=(3.5e38, 1, 1), look_at=(0, 0, 0)), "beyond float32"),
+        (dict(eye=(0, -1e300, 1), look_at=(0, 0, 0)), "beyond float32"),
     ],
 )
 def test_cameras_that_see_nothing_are_refused(camera, words):
     with pytest.raises(ValueError, match=words):
         Camera(**camera)
+
+
+def test_what_a_camera_may_be():
+    """The last eye that float32 holds, the narrowest field: rays are finite, and not one and the same."""
+    last = float(np.finfo(np.float32).max)
+    for camera in (
+        Camera((last, 1, 1), (0, 0, 0)),
+        Camera((0, 0, 5), (0, 0, 0), fov=2e-5),
+        Camera((0, 0, 5), (0, 0, 0), fov=179.999999),
+        Camera((1e-60, 0, 0), (0, 0, 0)),
+        Camera((0, 0, 1), (0, 0, -1e300), up=(0, 1e-320, 0)),
+    ):
+        rays = primary_rays(camera.frame(3, 3), np.arange(9, dtype=np.uint32), 3)
+        assert np.isfinite(rays.origin).all() and np.isfinite(rays.direction).all()
+        assert len(np.unique(rays.direction, axis=0)) > 3
+
+
+def test_a_camera_fitted_to_the_largest_scene_stands_in_float32():
+    largest = float(np.finfo(np.float32).max)
+    for bounds in ([(-largest,) * 3, (largest,) * 3], [(0, 0, 0), (largest, 1, 1)], [(-largest, 0, -largest), (-1e38, 1, 0)]):
+        camera = fit_camera(np.array(bounds, np.float32))
+        assert np.isfinite(np.float32(camera.eye)).all()
+        assert parse_camera(format_camera(camera)) == camera
 
 
 @pytest.mark.parametrize(
