@@ -173,7 +173,9 @@ def test_interrupting_leaves_no_run(folder):
         "4000x4000",
     ]
     environment = {**os.environ, "PYTHONPATH": str(Path(cli.__file__).parent)}
-    process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    # A shell may start what runs in the background with SIGINT ignored, which Python would take over.
+    hear = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, preexec_fn=hear)
     for _ in range(600):
         if (folder / "traces").is_dir() and any((folder / "traces").iterdir()):
             break
