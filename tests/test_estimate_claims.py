@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cachesim.config import CacheConfig
-from cachesim.estimate import QUANTITIES, Target, estimate
+from cachesim.design import Design
+from cachesim.estimate import QUANTITIES, Target, estimate, ratios_of
 from cachesim.regression import Ratio, Sample
 from cachesim.regression import estimate as extrapolate
 from cachesim.units import Rate, UnitCounts, Work
@@ -154,6 +155,53 @@ def test_what_was_counted_is_what_the_work_was():
     assert 256 + 64 <= long_ < 256 + 4096
     assert counts.n_traced > 256 + 256 + 4096
     assert counts.work.wall_s >= counts.work.tracing.y + counts.work.replaying.y > 0
+
+
+# What cannot be said.
+
+
+@pytest.mark.parametrize("half", [0.0, np.inf, np.nan])
+def test_a_figure_without_a_bound_is_counted_exactly(half, monkeypatch):
+    """Although every quantity with a target is within it."""
+
+    def without_bound(*args, **options):
+        found = extrapolate(*args, **options)
+        found.intervals[1] = found.intervals[1]._replace(half=half)
+        return found
+
+    monkeypatch.setattr("cachesim.estimate.extrapolate", without_bound)
+    result = estimate(ArraySource(*drawn()), [CacheConfig(2048, 1)], WIDE, exact_below=0)
+    assert result.method == "exact" and "not every quantity has a bound" in result.reason
+
+
+def test_misses_that_turn_out_to_be_hits_are_none_to_judge_by():
+    """Of a cache that holds everything, hundreds of misses are open after the short warm-up, and none is one."""
+    nodes = np.random.default_rng(4).integers(2000, size=300_000)
+    result = estimate(ArraySource(nodes), [CacheConfig(32 * 4096, 8)], WIDE, exact_below=0)
+    assert result.method == "exact" and any("too few to judge by" in flag for flag in result.flags)
+
+
+def test_a_sample_that_costs_more_than_it_saves_is_not_drawn():
+    """Units an eighth of a row: a row before each of them is eight times the unit, as in flat pictures."""
+    source = ArraySource(*drawn(65_536), unit=512, row=4096)
+    result = estimate(source, [CacheConfig(2048, 1)], WIDE, exact_below=0)
+    assert result.method == "exact" and "64 of its 128 units would take 200 % of the run to sample" in result.reason
+    assert source.n_traced == source.n_positions + 1024  # the run and the scout
+
+
+def test_bursts_of_prefetches_that_were_not_sampled():
+    """One unit in 160 has 17 times the pre-fetches of the others; most first samples have none of them."""
+    counts = np.tile([2500.0, 10.0, 300.0], (640, 1))
+    counts[50::160, 1] = 170.0
+    ratio, truth = ratios_of([])[1], counts[:, 1].sum() / counts[:, 0].sum()
+    n_right = 0
+    for seed in range(60):
+        stage = Design(np.ones(640), seed).stage()
+        own, nothing = counts[stage.units], np.zeros((64, 0))
+        sample = Sample(stage.edges, stage.units, own, nothing, nothing, np.arange(64), nothing, nothing)
+        found = extrapolate(sample, [ratio], confidence=0.99).intervals[0]
+        n_right += abs(found.value - truth) <= found.half
+    assert n_right >= 57
 
 
 # Half-widths by hand. 32 strata of 10 units, two drawn from each.

@@ -80,9 +80,8 @@ def endless(good):
         for name in old.namelist():
             data = old.read(name)
             if name == "looked.npy":
-                data = b"\x93NUMPY\x01\x00\x76\x00" + b"{'descr': '<i8', 'fortran_order': False, 'shape': (1000000000000000,), }".ljust(
-                    117
-                ) + b"\n"  # fmt: skip
+                header = b"{'descr': '<i8', 'fortran_order': False, 'shape': (1000000000000000,), }"
+                data = b"\x93NUMPY\x01\x00\x76\x00" + header.ljust(117) + b"\n"
             new.writestr(name, data)
     return file.getvalue()
 
