@@ -289,11 +289,14 @@ def calibration(cog, target: str) -> None:
 def estimate_speed(cog) -> None:
     """Write the wall times of estimates at 2048x2048 beside those of the exact runs."""
     rows = _rows("estimate_speed.csv")
-    cog.outl("| scene, tree | build, s | exact, s | estimate, s | speed-up, wall | speed-up, CPU | rays % |")
-    cog.outl("| --- |" + " ---: |" * 6)
+    cog.outl(
+        "| scene, tree | build, s | exact, s | estimate, s | speed-up, wall | speed-up, CPU | rays % | predicted / exact |"
+    )
+    cog.outl("| --- |" + " ---: |" * 7)
     for row in rows:
         cells = [f"{float(row[name]):.1f}" for name in ("build_s", "exact_s", "estimate_s", "wall", "cpu")]
-        cog.outl(f"| {row['scene']}, {TREES[row['tree']]} | {' | '.join(cells)} | {100 * float(row['share']):.1f} |")
+        cog.outl(f"| {row['scene']}, {TREES[row['tree']]} | {' | '.join(cells)} | {100 * float(row['share']):.1f} | "
+                 f"{row.get('predicted', '')} |")  # fmt: skip
     if rows:
         for name, what in (("wall", "wall time"), ("cpu", "CPU time")):
             values = [float(row[name]) for row in rows]
