@@ -36,7 +36,7 @@ MUTATIONS = [
     Mutation("estimate claims: the probe takes the same pixels for every seed", RU, "np.random.default_rng(seed).integers(self._n_pixels", "np.random.default_rng(0).integers(self._n_pixels", f"{CLAIMS} -k elsewhere"),
     Mutation("estimate claims: stretches in batches of one", RU, "self._shooting.batch, None), cuts)", "1, None), cuts)", "tests/test_estimate.py -k stretches"),
     Mutation("estimate claims: units cut batches", UN, "unit = -(-source.unit // source.grain) * source.grain", "unit = source.unit", f"{CLAIMS} -k units_warmed"),
-    Mutation("estimate claims: warm-ups cut batches", UN, "return max(position - -(-n // grain) * grain, 0)", "return max(position - n, 0)", f"{CLAIMS} -k batches"),
+    Mutation("estimate claims: warm-ups cut batches", UN, "return max(position - -(-n // grain) * grain, 0)", "return max(position - n, 0)", f"{CLAIMS} -k cuts_a_batch"),
     Mutation("estimate claims: the last part of a run is left out", UN, "np.append(np.arange(0, source.n_positions, unit), source.n_positions)", "np.arange(0, source.n_positions + 1, unit)", f"{CLAIMS} -k what_is_left"),
     Mutation("estimate claims: narrow pictures in rows", RU, "rows * shooting.width", "shooting.width", "tests/test_estimate.py -k flat_and_high"),
     # --- what is stated ---

@@ -305,3 +305,18 @@ def test_the_last_unit_is_what_is_left():
     table = counts.table(range(391))[0]
     assert table[:, :2].sum() == 100_003 and table[:, 2].tolist() == [256] * 390 + [163]
     assert all(b - a == 256 for a, b in pairwise(counts.middles[:-1]))
+
+
+def test_no_stretch_cuts_a_batch():
+    cuts_seen: set[int] = set()
+
+    class Batches(ArraySource):
+        def trace(self, cuts):
+            cuts_seen.update(cuts)
+            return super().trace(cuts)
+
+    source = Batches(*drawn(20_000), unit=256, row=1000)
+    source.grain = 7
+    counts = UnitCounts(source, [CacheConfig(2048, 1)], 1)
+    counts.count(range(counts.n_units), range(0, counts.n_units, 3), 1000)
+    assert all(cut % 7 == 0 for cut in cuts_seen - {20_000})
