@@ -86,11 +86,13 @@ class Design:
         self._draw()
 
     def _draw(self) -> None:
-        for low, high in zip(self._edges[:-1].tolist(), self._edges[1:].tolist(), strict=True):
-            lacking = min(2, high - low) - int(np.count_nonzero(self._taken[low:high]))
-            if lacking > 0:
-                rng = np.random.default_rng([self._seed, low, high])  # the same whatever was cut before
-                self._taken[low + rng.permutation(np.flatnonzero(~self._taken[low:high]))[:lacking]] = True
+        low, high = self._edges[:-1], self._edges[1:]
+        n_before = np.append(0, np.cumsum(self._taken))
+        lacking = np.minimum(2, high - low) - (n_before[high] - n_before[low])
+        for h in np.flatnonzero(lacking > 0):
+            a, b = int(low[h]), int(high[h])
+            rng = np.random.default_rng([self._seed, a, b])  # the same whatever was cut before
+            self._taken[a + rng.permutation(np.flatnonzero(~self._taken[a:b]))[: lacking[h]]] = True
 
 
 def expected(means: np.ndarray, variances: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@
    the reason is said.
 
 The accuracy target holds for the miss rates of all caches: demand accesses without pre-fetching (A) and with (B), and the
-paper's metric of B. All intervals, those of ratios and totals too, hold at once with 95 %.
+paper's metric of B. All intervals, those of ratios and totals too, hold at once with 95 %; none of a sampled run is 0 or
+infinite: what has no bound is counted exactly.
 """
 
 import math
@@ -51,6 +52,9 @@ _SETTLED = 0.25  # part of the target that open misses may take up before the wa
 #: Part of the mean variance to expect in a stratum whose neighbours are all alike: what is rare may hide there.
 _ANYWHERE = 0.5
 _DECLINE = 1.2  # an error falls with about this power of the number of units: strata grow shorter, neighbours are alike
+#: Pre-fetches per access that a unit may have more than the mean, where none was seen: they come in bursts, where rays run
+#: along a plane of the tree.
+_BURSTS = 4.0
 _N_COUNTS = 3
 
 #: Quantities of a cache that the target is for.
@@ -103,7 +107,7 @@ def parse_target(text: str) -> Target:
 
 @dataclass
 class Cell:
-    """One cache: ``values`` by the names of ``QUANTITIES``; None for a rate whose denominator is 0."""
+    """One cache: ``values`` by the names of ``QUANTITIES``; None for one whose denominator is 0."""
 
     config: CacheConfig
     values: dict[str, Interval | None]
@@ -120,7 +124,10 @@ class Estimated:
     reason : str
         Why the run was counted exactly.
     share : float
-        Positions traced / positions of the run, warm-up and abandoned samples included.
+        Positions traced / positions of the run, warm-up and scout included; what is traced again, or was before an
+        interruption, counts once. An exact run traces all.
+    seconds : float
+        What this call took, abandoned samples included.
     exact_seconds : float
         What the exact run takes: measured, or for a sampled run predicted at the rate of the sample.
     flags : list
@@ -131,8 +138,8 @@ class Estimated:
     method: str
     reason: str
     cells: list[Cell]
-    accesses_per_ray: Interval
-    prefetches_per_access: Interval
+    accesses_per_ray: Interval | None
+    prefetches_per_access: Interval | None
     n_units: int
     n_sampled: int
     share: float
@@ -174,7 +181,7 @@ def ratios_of(configs: Sequence[CacheConfig]) -> list[Ratio]:
         return vector
 
     demand, everything = form(ACCESSES), form(ACCESSES, PREFETCHES)
-    found = [Ratio((demand,), (form(RAYS),)), Ratio((form(PREFETCHES),), (demand,))]
+    found = [Ratio((demand,), (form(RAYS),)), Ratio((form(PREFETCHES),), (demand,), unlike=_BURSTS)]
     for k, config in enumerate(configs):
         first = _N_COUNTS + 3 * k
         alone, with_, both = form(first + ALONE), form(first + DEMAND), form(first + DEMAND, first + REQUESTS)
@@ -230,24 +237,22 @@ def estimate(
         reason = f"about {predicted / 1e6:.0f} million accesses are counted exactly in a moment"
         return _exactly(source, configs, counts, target, seed, start, reason, [], progress)
     sampler = Sampler(counts, configs, source.row, seed)
-    began = counts.n_traced
     design = Design(weights(*counts.scout(seed), counts.middles), seed)
     while True:
         before = counts.n_traced
         found = sampler.look(design.stage(), target)
         progress(counts.n_traced - before)
-        if resume is not None:
+        if resume is not None and found.intervals:
             counts.save(resume)
         if found.is_within or found.hopeless:
             break
         design.split(found.split)
     if found.hopeless:
         return _exactly(source, configs, counts, target, seed, start, found.hopeless, found.flags, progress)
-    seconds = time.perf_counter() - start
     return _result(
         source, configs, found.intervals, method="sampled", reason="", n_units=counts.n_units, n_sampled=found.n_sampled,
-        share=counts.n_traced / source.n_positions, seconds=seconds,
-        exact_seconds=seconds * source.n_positions / (counts.n_traced - began), seed=seed, target=str(target), flags=[],
+        share=counts.n_traced / source.n_positions, seconds=time.perf_counter() - start,
+        exact_seconds=counts.exact_seconds(found.n_accesses), seed=seed, target=str(target), flags=[],
     )  # fmt: skip
 
 
@@ -262,6 +267,7 @@ class Look:
     flags: list[str]
     hopeless: str
     split: np.ndarray
+    n_accesses: float = 0.0  # of the whole run, pre-fetches included
 
 
 class Sampler:
@@ -275,10 +281,17 @@ class Sampler:
 
     def look(self, stage: Stage, target: Target) -> Look:
         """Count what the stage adds, and judge."""
+        least = self._counts.least_cost(stage.units.tolist(), self._second(stage).size, self._warm)
+        if least > MOST_SHARE * self._counts.n_positions:
+            share = least / self._counts.n_positions
+            reason = (
+                f"{stage.units.size} of its {self._counts.n_units} units would take {100 * share:.0f} % of the run to sample"
+            )
+            return Look([], 0, 0.0, False, [], reason, np.empty(0, np.int64))
         sample, found = self._extrapolate(stage)
         while self._may_double and self._unsettled(found.intervals, target) > _SETTLED:
-            cost = sample.second.size * 2 * self._warm / self._row / self._counts.n_units
-            if self._warm >= _MOST_WARM * self._row or cost > _MOST_WARM_SHARE:
+            warm = self._counts.least_cost([], sample.second.size, 2 * self._warm)
+            if self._warm >= _MOST_WARM * self._row or warm > _MOST_WARM_SHARE * self._counts.n_positions:
                 break
             self._warm *= 2
             again = self._extrapolate(stage)
@@ -294,13 +307,15 @@ class Sampler:
         # of the second with its size: at the least cost for a given sum, their sizes are as the root of half the ratio.
         share = min(float(found.second_share[at]), 0.9)
         self._part = min(max(math.sqrt(share / (1 - share) * self._part / 2), self._part), 1.0)
-        flags = self._flags(sample, found.intervals, target)
-        is_within = widest <= 1 and not flags
-        hopeless = self._hopeless(stage, widest, flags)
-        split = np.empty(0, np.int64) if is_within or hopeless else self._to_split(stage, found, target, widest)
         second = stage.units[sample.second].tolist()
         share = self._counts.cost(stage.units.tolist(), second, self._warm) / self._counts.n_positions
-        return Look(found.intervals, stage.units.size, share, is_within, flags, hopeless, split)
+        flags = self._flags(sample, found.intervals, target)
+        is_stated = all(0.0 < interval.half < math.inf for interval in found.intervals)
+        is_within = widest <= 1 and is_stated and not flags
+        hopeless = "" if is_within else self._hopeless(stage, widest, is_stated, share, flags)
+        split = np.empty(0, np.int64) if is_within or hopeless else self._to_split(stage, found, target, widest)
+        n_accesses = float(found.totals[[ACCESSES, PREFETCHES]].sum())
+        return Look(found.intervals, stage.units.size, share, is_within, flags, hopeless, split, n_accesses)
 
     def _extrapolate(self, stage: Stage) -> tuple[Sample, Extrapolated]:
         sample = self._sample(stage)
@@ -331,10 +346,14 @@ class Sampler:
             for name in TARGETED
         ]
 
-    def _sample(self, stage: Stage) -> Sample:
+    def _second(self, stage: Stage) -> np.ndarray:
+        """Return the places of the second sample among the units."""
         n = stage.units.size
         m = min(max(_LEAST_SECOND, int(np.ceil(self._part * n))), n)
-        second = np.sort(np.argsort(stage.priority, kind="stable")[:m])
+        return np.sort(np.argsort(stage.priority, kind="stable")[:m])
+
+    def _sample(self, stage: Stage) -> Sample:
+        second = self._second(stage)
         self._counts.count(stage.units.tolist(), stage.units[second].tolist(), self._warm)
         return Sample(
             stage.edges, stage.units, *self._counts.table(stage.units.tolist()), second,
@@ -347,9 +366,12 @@ class Sampler:
 
     def _flags(self, sample: Sample, intervals: Sequence[Interval], target: Target) -> list[str]:
         flags = []
+        second = sample.second
+        # Of the open misses as many as the second sample found to be misses.
+        share = (sample.settled - sample.certain[second]).sum(axis=0) / np.maximum(sample.open_[second].sum(axis=0), 1)
+        seen = sample.certain.sum(axis=0) + share * sample.open_.sum(axis=0)
         for k, config in enumerate(self._configs):
-            columns = slice(3 * k, 3 * k + 3)
-            n_seen = int((sample.certain[:, columns] + sample.open_[:, columns]).sum(axis=0)[ALONE])
+            n_seen = int(min(seen[3 * k + ALONE], seen[3 * k + DEMAND]))
             if n_seen < LEAST_MISSES:
                 flags.append(f"{config}: {n_seen} misses in the sample, too few to judge by")
         for config, at, name in self._targeted():
@@ -363,14 +385,16 @@ class Sampler:
                 break
         return flags
 
-    def _hopeless(self, stage: Stage, widest: float, flags: Sequence[str]) -> str:
+    def _hopeless(self, stage: Stage, widest: float, is_stated: bool, share: float, flags: Sequence[str]) -> str:
         if flags:
             return flags[0]
-        cost = stage.units.size * (1 + self._part * self._warm / self._row) / self._counts.n_units
-        # Without freedom enough to state an interval there is nothing to judge a larger sample by.
-        needed = cost * max(widest, 1.0) ** (1 / _DECLINE) if math.isfinite(widest) else cost
-        if widest > 1 and needed > MOST_SHARE:
-            return f"the target would take {100 * min(needed, 1.0):.0f} % of the run, judged by {stage.units.size} units"
+        of_units = f"judged by {stage.units.size} units"
+        if not is_stated or not math.isfinite(widest):
+            # Without freedom enough to state an interval there is nothing to judge a larger sample by.
+            return f"not every quantity has a bound, {of_units}" if share > MOST_SHARE / 2 else ""
+        needed = share * max(widest, 1.0) ** (1 / _DECLINE)
+        if needed > MOST_SHARE:
+            return f"the target would take {100 * min(needed, 1.0):.0f} % of the run, {of_units}"
         return ""
 
 
@@ -378,7 +402,6 @@ def _exactly(
     source: UnitSource, configs: Sequence[CacheConfig], counts: UnitCounts, target: Target, seed: int, start: float,
     reason: str, flags: list[str], progress: Callable[[int], object],
 ) -> Estimated:  # fmt: skip
-    sampled = counts.n_traced
     before = time.perf_counter()
     sure, misses = counts.everything(progress)
     end = time.perf_counter()
@@ -386,15 +409,15 @@ def _exactly(
     intervals = [Interval(value_of(ratio_, totals), 0.0, 0.0) for ratio_ in ratios_of(configs)]
     return _result(
         source, configs, intervals, method="exact", reason=reason, n_units=counts.n_units, n_sampled=counts.n_units,
-        share=1.0 + sampled / source.n_positions, seconds=end - start, exact_seconds=end - before, seed=seed,
+        share=counts.n_traced / source.n_positions, seconds=end - start, exact_seconds=end - before, seed=seed,
         target=str(target), flags=flags,
     )  # fmt: skip
 
 
 def _result(source: UnitSource, configs: Sequence[CacheConfig], intervals: Sequence[Interval], **facts: Any) -> Estimated:
+    defined = [None if math.isnan(interval.value) else interval for interval in intervals]
     cells = []
     for k, config in enumerate(configs):
-        own = intervals[2 + k * len(QUANTITIES) : 2 + (k + 1) * len(QUANTITIES)]
-        values = {name: None if np.isnan(v.value) else v for name, v in zip(QUANTITIES, own, strict=True)}
-        cells.append(Cell(config, values))
-    return Estimated(source.name, cells=cells, accesses_per_ray=intervals[0], prefetches_per_access=intervals[1], **facts)
+        own = defined[2 + k * len(QUANTITIES) : 2 + (k + 1) * len(QUANTITIES)]
+        cells.append(Cell(config, dict(zip(QUANTITIES, own, strict=True))))
+    return Estimated(source.name, cells=cells, accesses_per_ray=defined[0], prefetches_per_access=defined[1], **facts)

@@ -17,12 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cachesim.spread import between_strata, settled_otherwise, unlike_any
+
 #: Part of the misses open after a long warm-up that is taken to be misses: what was not used for that long is rarely still
 #: there. Measured 0.84 to 0.98 where it matters, in the bunny with its empty margins. The interval covers none to all.
 LIKELY = 0.9
 
-#: Draws for the joint distribution of all errors: the quantile's own error is 0.3 % of coverage.
-_DRAWS = 4000
+#: Draws for the joint distribution of all errors: the quantile's own error is 0.5 % of coverage.
+_DRAWS = 2000
 
 
 class Sample(NamedTuple):
@@ -55,10 +57,14 @@ class Sample(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """Product of the totals ``form . totals`` above over the product of those below, for (n_counts + n_misses,) forms."""
+    """Product of the totals ``form . totals`` above over the product of those below, for (n_counts + n_misses,) forms.
+
+    ``unlike`` is how far a unit may be off, though none sampled is, in parts of what it adds to the value in the mean.
+    """
 
     above: tuple[np.ndarray, ...]
     below: tuple[np.ndarray, ...] = ()
+    unlike: float = 0.25
 
 
 class Interval(NamedTuple):
@@ -144,52 +150,62 @@ def estimate(sample: Sample, ratios: Sequence[Ratio], *, confidence: float = 0.9
     values, gradients = zip(*(_linearise(ratio, totals) for ratio in ratios), strict=True)
     gradient = np.array(gradients)
 
-    freedom = np.maximum(drawn - 1, 1)
-    factor = sizes**2 * (1 - drawn / sizes) / drawn / freedom  # 0 for a stratum of which all is known
+    freedom = drawn - 1
+    factor = sizes**2 * (1 - drawn / sizes) / drawn  # 0 for a stratum of which all is known
     of_second = np.sqrt(max(n_units**2 * (1 / m - 1 / n_units), 0.0) / max(m - 1, 1))
+    # Of a value of 0 nobody knows how large it may be elsewhere: 1 is a miss, or a pre-fetch, in every access.
+    least = np.array([r.unlike * (abs(v) or 1.0) / n_units for r, v in zip(ratios, values, strict=True)])
+    opened = np.abs(gradient[:, n_counts:] @ (weight @ sample.open_))
 
-    def spread(settled: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the covariance of the ratios, the part of the second phase, the freedom; means and variances by stratum."""
+    def errors(settled: np.ndarray) -> _Errors:
         predicted, missed = predict(settled)
         z, r = predicted @ gradient.T, missed @ gradient.T * of_second
-        means = np.zeros((len(sizes), len(ratios)))
+        means, squares = np.zeros((2, len(sizes), len(ratios)))
         np.add.at(means, stratum, z)
         means /= drawn[:, None]
-        squares = np.zeros_like(means)
-        np.add.at(squares, stratum, (z - means[stratum]) ** 2)
-        scaled = (z - means[stratum]) * np.sqrt(factor)[stratum, None]
-        by_stratum = squares * factor[:, None]
-        second = (r**2).sum(axis=0)
-        covariance = scaled.T @ scaled + r.T @ r
+        off = z - means[stratum]
+        np.add.at(squares, stratum, off**2)
+        variances = squares / np.maximum(freedom, 1)[:, None]
+        second = np.maximum((r**2).sum(axis=0), settled_otherwise(opened, int(m), n_units))
+        variance = between_strata(means, squares, freedom, factor) + second
+        variance += unlike_any(np.abs(off), least, n_units)
+        scaled = off * np.sqrt(factor / np.maximum(freedom, 1))[stratum, None]
         # Satterthwaite's degrees of freedom. The square of an estimated variance is too large by (df + 2) / df in the mean,
         # which with two units a stratum, df = 1, would leave a third of the freedom there is.
-        spent = (by_stratum**2 / (freedom + 2)[:, None]).sum(axis=0) + second**2 / (m + 1)
-        variance = np.diag(covariance)
+        spent = ((variances * factor[:, None]) ** 2 / (freedom + 2)[:, None]).sum(axis=0) + second**2 / (m + 1)
         df = np.divide(variance**2, spent, out=np.full(len(spent), 1e9), where=spent > 0)
-        return covariance, second, df, means, squares / freedom[:, None]
+        return _Errors(scaled.T @ scaled + r.T @ r, variance, second, df, means, variances)
 
     # What is open may all be hits or all be misses: the wider of the two cases.
-    hits, misses = spread(sample.settled), spread(sample.settled + sample.bracket)
-    covariance = misses[0]
-    deviation = np.sqrt(np.diag(covariance))
-    tail = (1 - confidence) / 2
-    is_random = deviation > 0
-    if is_random.sum() > 1:
-        scale = np.outer(deviation[is_random], deviation[is_random])
-        tail = joint_tail(covariance[np.ix_(is_random, is_random)] / scale, confidence, seed)
+    hits, misses = errors(sample.settled), errors(sample.settled + sample.bracket)
+    tail = joint_tail(correlation_of(misses.covariance), confidence, seed)
     # As far as it goes to the side where no open miss is one, for each total apart.
     widths = np.abs(gradient) @ bracket
     intervals = []
     for k, value in enumerate(values):
-        chance = max(
-            t_quantile(tail, float(df[k])) * float(np.sqrt(cov[k, k])) if cov[k, k] > 0 else 0.0
-            for cov, _, df, _, _ in (hits, misses)
-        )
+        chance = max(t_quantile(tail, float(of.df[k])) * math.sqrt(of.variance[k]) for of in (hits, misses))
         intervals.append(Interval(float(value), float(widths[k]) + chance, float(widths[k])))
-    variance, second = np.diag(covariance), misses[1]
-    return Estimate(
-        totals, intervals, misses[3], misses[4], np.divide(second, variance, out=np.zeros(len(variance)), where=is_random)
-    )
+    share = np.divide(misses.second, misses.variance, out=np.zeros(len(values)), where=misses.variance > 0)
+    return Estimate(totals, intervals, misses.means, misses.variances, share)
+
+
+class _Errors(NamedTuple):
+    covariance: np.ndarray  # (n_ratios, n_ratios) of what was seen
+    variance: np.ndarray  # (n_ratios,) with what luck may have hidden
+    second: np.ndarray  # (n_ratios,) part of it that the second sample has
+    df: np.ndarray
+    means: np.ndarray  # (n_strata, n_ratios)
+    variances: np.ndarray  # (n_strata, n_ratios)
+
+
+def correlation_of(covariance: np.ndarray) -> np.ndarray:
+    """Return the correlations; an error of which nothing was seen has one with itself only."""
+    deviation = np.sqrt(np.diag(covariance))
+    is_seen = deviation > 1e-12 * deviation.max(initial=0.0)
+    scale = np.where(is_seen, deviation, 1.0)
+    found = np.where(np.outer(is_seen, is_seen), covariance / np.outer(scale, scale), 0.0)
+    np.fill_diagonal(found, 1.0)
+    return found
 
 
 def value_of(ratio: Ratio, totals: np.ndarray) -> float:

@@ -19,6 +19,7 @@ from traces.format import PRIMARY, SHADOW
 
 _STRIP = 512  # pixels: eight squares of 8 x 8, one strip of Manta's tile
 _LEAST_UNITS = 128  # of a picture with few rows
+_LEAST_UNIT = 256  # pixels of a unit of a narrow picture: fewer cost as much again to warm up
 _SCOUT_SIDE, _SCOUT_STEPS = 128, (8, 32)  # scout rays along a side, and pixels between two of them
 _LEAST_GROUP = 32  # scout rays of a group
 
@@ -58,7 +59,7 @@ class RayUnits:
         self.name = f"{scene.name}-{tree.kind}" + (" (stand-in)" if scene.stand_in else "")
         self.key = f"{scene.sha256}\n{command_of(scene, tree, shooting)}"
         self.unit = unit_of(shooting)
-        self.row = shooting.width if shooting.order == "scanline" else self.unit
+        self.row = max(shooting.width, self.unit) if shooting.order == "scanline" else self.unit
         self.n_positions = self._n_pixels * (1 if shooting.batch else 2)
         self.grain = shooting.batch or 1
         self.node_bytes = tree.nodes.dtype.itemsize
@@ -87,7 +88,7 @@ class RayUnits:
         chunk = self._chunk(self._pixels[chosen], 1, None)
         return len(chunk.accesses["node"]) / n * self._n_pixels / self.n_positions
 
-    def scout(self, seed: int) -> tuple[np.ndarray, list[Stretch], int]:
+    def scout(self, seed: int) -> tuple[np.ndarray, list[Stretch], np.ndarray]:
         """Return the rays of a lattice of pixels, in groups along the run.
 
         Returns
@@ -95,7 +96,7 @@ class RayUnits:
         places : (g,) float64
             Position in the run of the middle of every group, ascending.
         groups : list of Stretch
-        n_positions : int
+        looked : (k,) int64
             Positions traced.
         """
         width = self._shooting.width
@@ -109,13 +110,13 @@ class RayUnits:
         places = np.array([at[low:high].mean() for low, high in pairwise(cuts)])
         pixels = self._pixels[at]
         if self._shooting.batch:
-            return places, _cut(self._chunk(pixels, 1, None), cuts), len(at)
+            return places, _cut(self._chunk(pixels, 1, None), cuts), at
         groups = [
             _whole(self._chunk(pixels[low:high], high - low, which))
             for which in (PRIMARY, SHADOW)
             for low, high in pairwise(cuts)
         ]
-        return np.concatenate([places, places + self._n_pixels]), groups, 2 * len(at)
+        return np.concatenate([places, places + self._n_pixels]), groups, np.concatenate([at, at + self._n_pixels])
 
     def _chunk(self, pixels: np.ndarray, batch: int, which: int | None) -> Chunk:
         return shoot(self._tree, self._frame, self._light, pixels, self._shooting.width, batch, which)
@@ -141,10 +142,12 @@ def unit_of(shooting: Shooting) -> int:
     """Return how many pixels in a row of the shooting order an estimate samples together.
 
     Scanline: a row, because whole rows differ little from their neighbours, while pieces of rows do not add up to anything
-    that does; flat pictures are cut into pieces so that there are units to choose from. Other orders: a strip of a tile, or
-    as much of a curve. Measured in docs/speed-error.md.
+    that does; narrow pictures take several, flat ones are cut into pieces so that there are units to choose from. Other
+    orders: a strip of a tile, or as much of a curve. Measured in docs/speed-error.md.
     """
     if shooting.order != "scanline":
         return _STRIP
-    pieces = -(-_LEAST_UNITS // shooting.height)
-    return -(-shooting.width // pieces)
+    if shooting.height < _LEAST_UNITS:
+        return -(-shooting.width // -(-_LEAST_UNITS // shooting.height))
+    rows = min(-(-_LEAST_UNIT // shooting.width), shooting.height // _LEAST_UNITS)
+    return rows * shooting.width

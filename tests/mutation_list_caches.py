@@ -144,7 +144,7 @@ MUTATIONS = [
     Mutation("hashed lines: hot lines not adjusted for", "cachesim/hashed_lines.py", "hits += self.n_accesses * self._rate - self.n_followed", "hits += 0", "tests/test_sampled_lines.py"),
     Mutation("regression: Student's t of the normal distribution", "cachesim/regression.py", "return z + sum(", "return z + 0 * sum(", "tests/test_regression.py"),
     Mutation("regression: no joint statement", "cachesim/regression.py", "return min(max(NormalDist().cdf(-z), low), high)", "return high", "tests/test_regression.py"),
-    Mutation("regression: the second phase has no variance", "cachesim/regression.py", "covariance = scaled.T @ scaled + r.T @ r", "covariance = scaled.T @ scaled", "tests/test_regression.py"),
+    Mutation("regression: the second phase has no variance", "cachesim/regression.py", "variance = between_strata(means, squares, freedom, factor) + second", "variance = between_strata(means, squares, freedom, factor)", "tests/test_regression.py"),
     Mutation("regression: open misses leave the interval as it is", "cachesim/regression.py", "Interval(float(value), float(widths[k]) + chance", "Interval(float(value), chance", "tests/test_regression.py"),
     Mutation("regression: strata all weigh the same", "cachesim/regression.py", "weight = (sizes / drawn)[stratum]", "weight = np.full(len(units), sizes.sum() / drawn.sum())", "tests/test_regression.py"),
     Mutation("estimate: the first look ends the search", "cachesim/estimate.py", "LEAST_MISSES = 100", "LEAST_MISSES = 0", "tests/test_estimate.py"),

@@ -93,7 +93,7 @@ def test_bad_input_is_one_sentence(args, sentence):
 
 
 def test_a_file_of_another_run_is_refused():
-    args = ["--accel", "bvh", "--pixels", "128x128", "--size", "2K", "--target-error", "30%,1pp", "--exact-below", "0"]
+    args = ["--accel", "bvh", "--pixels", "256x256", "--size", "2K", "--target-error", "30%,1pp", "--exact-below", "0"]
     npcache("estimate", "court", *args, "--resume", "x.npz")
     assert "another scene, tree, picture or set of caches" in npcache("estimate", "blob", *args, "--resume", "x.npz", status=2)
 

@@ -43,7 +43,7 @@ class ArraySource:
         step = 64
         at = np.arange(0, self.n_positions, step)
         groups = [self.trace([low, low + 1])[0] for low in at]
-        return at + 0.5, groups, at.size
+        return at + 0.5, groups, at
 
 
 def independent(n_lines, n, seed):

@@ -46,7 +46,7 @@ def main() -> None:
             source = RayUnits(scene, tree, Shooting(args.size, args.size))
             estimate(RayUnits(scene, tree, Shooting(96, 96)), caches(), target)
             estimate(RayUnits(scene, tree, Shooting(256, 256)), caches(), parse_target("50%,20pp"), exact_below=0)
-            walls, cpus, shares, estimates, exacts = [], [], [], [], []
+            walls, cpus, shares, estimates, exacts, predictions = [], [], [], [], [], []
             for seed in range(args.repeat):
                 result, wall, cpu = timed(lambda seed=seed, s=source: estimate(s, caches(), target, seed=seed, exact_below=0))
                 _, exact_wall, exact_cpu = timed(lambda s=source: UnitCounts(s, caches()).everything())
@@ -55,9 +55,11 @@ def main() -> None:
                 shares.append(result.share)
                 estimates.append(wall)
                 exacts.append(exact_wall)
+                predictions.append(result.exact_seconds / exact_wall)
             row = {"scene": scene.label, "tree": kind, "size": args.size, "build_s": f"{build_s:.2f}"}
             for column, values in (
-                ("exact_s", exacts), ("estimate_s", estimates), ("wall", walls), ("cpu", cpus), ("share", shares)
+                ("exact_s", exacts), ("estimate_s", estimates), ("wall", walls), ("cpu", cpus), ("share", shares),
+                ("predicted", predictions),
             ):  # fmt: skip
                 row[column] = f"{statistics.median(values):.4g}"
             print(row, flush=True)
