@@ -12,15 +12,15 @@ INSTALLED := $(VENV)/installed
 RUNS ?= traces
 THREADS ?= 2
 # What runs in minutes without compiled kernels: all commands on small inputs, and each kind of kernel against its model.
-NOJIT := tests/test_without_jit.py tests/test_visit_rules.py::test_what_is_no_ray_hits_nothing_and_visits_the_root_at_most \
-	tests/test_traverse.py::test_interval_ends_belong_to_the_interval tests/test_traverse.py::test_visits_and_hits_on_a_lattice \
-	tests/test_bvh.py::test_binned_equals_brute_force tests/test_bvh.py::test_sweep_equals_brute_force \
-	tests/test_cachesim_replay.py::test_every_count_is_that_of_the_model \
-	tests/test_cachesim_sweep.py::test_cells_are_those_of_the_model tests/test_cachesim_opt.py::test_every_count_is_that_of_the_model
-PAGES := README.md docs/correctness.md docs/performance.md docs/speed-error.md
+NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::test_what_is_no_ray_hits_nothing_and_visits_the_root_at_most \
+	tests/rtrace/test_traverse.py::test_interval_ends_belong_to_the_interval tests/rtrace/test_traverse.py::test_visits_and_hits_on_a_lattice \
+	tests/rtrace/trees/test_bvh.py::test_binned_equals_brute_force tests/rtrace/trees/test_bvh.py::test_sweep_equals_brute_force \
+	tests/cachesim/test_replay.py::test_every_count_is_that_of_the_model \
+	tests/cachesim/test_sweep.py::test_cells_are_those_of_the_model tests/cachesim/test_opt.py::test_every_count_is_that_of_the_model
+PAGES := README.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test test-nojit bench lint docs docs-check correctness fuzz speed-error reproduce-table clean
+.PHONY: help test test-nojit bench lint wheel-check docs docs-check correctness fuzz speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -41,6 +41,9 @@ lint: $(INSTALLED) ## Check style, types and the import rules
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+wheel-check: $(INSTALLED) ## Install the built wheel into a fresh environment and use it outside the checkout
+	$(BIN)/python -m tests.wheel_check
 
 reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and print Table I beside the paper's
 	@$(BIN)/nptrace render bunny conference sibenik sponza --out $(RUNS) --threads $(THREADS)

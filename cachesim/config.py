@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from traces.errors import NptraceError
+from nptrace_base.errors import NptraceError
 
 POLICIES = ("lru", "fifo", "random", "opt")
 

@@ -28,12 +28,12 @@ from math import gcd
 
 import numpy as np
 
+from cachesim.access import PREFETCH
 from cachesim.config import CacheConfig
-from cachesim.exact import PREFETCH
-from cachesim.lru import set_mask, set_of
+from cachesim.fast_lru import set_mask, set_of
 from cachesim.prefetch import Prefetch
-from jit import inlined, kernel
-from traces.errors import NptraceError
+from nptrace_base.errors import NptraceError
+from nptrace_base.jit import inlined, kernel
 
 ONE = np.uint64(1)
 _NONE = np.uint64(0xFFFFFFFFFFFFFFFF)  # no line: lines are below 2^32

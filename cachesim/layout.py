@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cachesim.config import format_bytes, parse_bytes
-from jit import kernel
-from traces.errors import NptraceError
+from nptrace_base.errors import NptraceError
+from nptrace_base.jit import kernel
 
 #: The layouts, and what each does with nodes and sibling pairs.
 LAYOUTS = {

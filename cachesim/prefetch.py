@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cachesim.exact import ALWAYS, MISC, NEVER, ON_MISS, PREFETCH, READ, TAGGED
-from jit import kernel
-from traces.errors import NptraceError
+from cachesim.access import MISC, PREFETCH, READ
+from cachesim.cache import ALWAYS, NEVER, ON_MISS, TAGGED
+from nptrace_base.errors import NptraceError
+from nptrace_base.jit import kernel
 
 # The kinds of a row of accesses.parquet (traces.format; numbers here because a kernel needs constants of its own).
 KIND_PUSH, KIND_LEAF, KIND_PREFETCH = 1, 2, 3

@@ -8,18 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cachesim import lru
-from cachesim.account import Result
-from cachesim.config import CacheConfig
-from cachesim.exact import (
+from cachesim import fast_lru
+from cachesim.access import N_LABELS, PREFETCH
+from cachesim.cache import (
     CAPACITY,
     COMPULSORY,
     CONFLICT,
     GENERATED,
     MISSES,
-    N_LABELS,
     POLLUTION,
-    PREFETCH,
     USEFUL,
     USELESS,
     grow_cache,
@@ -29,13 +26,15 @@ from cachesim.exact import (
     replay_optimal,
     replay_sequential,
 )
+from cachesim.config import CacheConfig
 from cachesim.filter import DirectFilter, filter_sets
 from cachesim.layout import Layout
-from cachesim.nextuse import NextUse
+from cachesim.next_use import NextUse
 from cachesim.prefetch import Prefetch, parse_prefetch
+from cachesim.result import Result
 from cachesim.source import RunSource, Source, demand_only, open_source
-from traces.errors import NptraceError
-from traces.pools import thread_pool
+from nptrace_base.errors import NptraceError
+from nptrace_base.pools import thread_pool
 from traces.reader import Run
 
 #: Sets of the smallest filter worth its time: with fewer it keeps most accesses.
@@ -62,13 +61,13 @@ class _Counting:
 
     def __init__(self, config: CacheConfig) -> None:
         self._config = config
-        self._mask = lru.set_mask(config.n_sets)
-        self._tags = lru.empty_tags(config.n_sets, config.ways)
+        self._mask = fast_lru.set_mask(config.n_sets)
+        self._tags = fast_lru.empty_tags(config.n_sets, config.ways)
         self.misses = np.zeros(N_LABELS, np.int64)
 
     def step(self, piece: _Piece) -> None:
         """Replay a piece."""
-        kernel_of_ways = lru.direct_mapped if self._config.ways == 1 else lru.two_way
+        kernel_of_ways = fast_lru.direct_mapped if self._config.ways == 1 else fast_lru.two_way
         kernel_of_ways(piece.lines, piece.labels, self._config.n_sets, self._mask, self._tags, self.misses)
 
 
@@ -103,7 +102,7 @@ class _Exact:
 
 
 def _is_countable(config: CacheConfig) -> bool:
-    return config.policy == "lru" and config.ways <= lru.MAX_WAYS
+    return config.policy == "lru" and config.ways <= fast_lru.MAX_WAYS
 
 
 class _Job:

@@ -6,41 +6,18 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from cachesim.dense import DenseIds
-from cachesim.exact import PREFETCH
-from cachesim.filter import DirectFilter
+from cachesim.access import PREFETCH
 from cachesim.layout import Layout, addresses, parse_layout, stored_addresses
+from cachesim.lines import AddressLines, Lines, NodeLines
 from cachesim.prefetch import KIND_PREFETCH, REQUEST, Prefetch, StackReplay
-from jit import kernel
+from nptrace_base.errors import NptraceError
+from nptrace_base.jit import kernel
 from traces.din import DinTrace
-from traces.errors import NptraceError
 from traces.reader import Run, open_run
 from traces.stream import STDIN
 
 #: Events handed on at a time: their arrays stay in a core's share of the last-level cache.
 BATCH = 1 << 18
-
-
-class Lines(Protocol):
-    """The lines of a source for one line size: events in, the accesses of the cache out.
-
-    An event over a line boundary is one access to each line.
-    """
-
-    def accesses(self, events: Any, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (line uint32, label uint8) of every access of a batch of events."""
-
-    def counted(
-        self, events: Any, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Add the accesses of a batch to ``totals`` (per label); return those that the filter, if any, keeps."""
-
-    def ids(self, lines: np.ndarray) -> np.ndarray:
-        """Return the dense id (uint32) of every line."""
-
-    @property
-    def n_ids(self) -> int:
-        """Number of ids that may occur so far."""
 
 
 class Source(Protocol):
@@ -130,38 +107,6 @@ class RunSource:
         return NodeLines(self._addresses, self._node_bytes, line_bytes, ahead)
 
 
-class NodeLines:
-    """The lines of every node, looked up by its number. A layout packs the nodes, so the lines are their own dense ids."""
-
-    def __init__(self, address: np.ndarray, node_bytes: int, line_bytes: int, ahead: int) -> None:
-        shift = line_bytes.bit_length() - 1  # lines are powers of two, and a division took ten times as long
-        first, last = address >> shift, (address + (node_bytes - 1)) >> shift
-        lowest = int(first.min())  # numbering from it turns the sets round and changes no count
-        self.n_ids = int(last.max()) - lowest + 1 + ahead
-        if self.n_ids >= 1 << 31:
-            raise NptraceError(f"the tree spans {self.n_ids} lines of {line_bytes} B; the limit is 2^31 - 1, use longer lines")
-        self._first = (first - lowest).astype(np.uint32)
-        self._last = (last - lowest).astype(np.uint32) if (last != first).any() else None
-
-    def accesses(self, events: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the accesses of node reads."""
-        events = read_only(events)
-        first = look_up(self._first, events)
-        return (first, labels) if self._last is None else split(first, look_up(self._last, events), labels)
-
-    def counted(
-        self, events: np.ndarray, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the accesses of node reads that are kept."""
-        if direct is not None and self._last is None:
-            return direct.looked_up(self._first, read_only(events), labels, totals)
-        return count_and_keep(*self.accesses(events, labels), direct, totals)
-
-    def ids(self, lines: np.ndarray) -> np.ndarray:
-        """Return the lines themselves."""
-        return lines
-
-
 class DinSource:
     """A DineroIV trace. Events are (address, size)."""
 
@@ -200,51 +145,6 @@ class DinSource:
         return AddressLines(line_bytes)
 
 
-class AddressLines:
-    """The lines of addresses below 2^32, numbered as they appear."""
-
-    def __init__(self, line_bytes: int) -> None:
-        self._line_bytes = line_bytes
-        self._dense = DenseIds()
-
-    @property
-    def n_ids(self) -> int:
-        """Number of different lines so far."""
-        return self._dense.n_ids
-
-    def accesses(self, events: tuple[np.ndarray, np.ndarray | int], labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the accesses of reads at addresses."""
-        address, size = events
-        first = address // np.uint32(self._line_bytes)
-        last = (address + (np.asarray(size, np.uint32) - np.uint32(1))) // np.uint32(self._line_bytes)  # below 2^32, checked
-        return (first, labels) if np.array_equal(first, last) else split(first, last, labels)
-
-    def counted(
-        self, events: tuple[np.ndarray, np.ndarray | int], labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the accesses of reads that are kept."""
-        return count_and_keep(*self.accesses(events, labels), direct, totals)
-
-    def ids(self, lines: np.ndarray) -> np.ndarray:
-        """Return the id of each line, numbering those not seen before."""
-        return self._dense.ids(lines)
-
-
-def count_and_keep(
-    lines: np.ndarray, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Add accesses to ``totals`` (per label); return those that the filter, if any, keeps."""
-    tally(labels, totals)
-    return (lines, labels) if direct is None else direct.accesses(lines, labels)
-
-
-@kernel
-def tally(labels, totals):
-    """Count the labels into totals."""
-    for label in labels:
-        totals[label] += 1
-
-
 def demand_only(values: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the (uint32 value, label) pairs that are not pre-fetches."""
     kept, kept_labels = np.empty(values.size, np.uint32), np.empty(values.size, np.uint8)
@@ -271,43 +171,3 @@ def keep_demand(values, labels, kept, kept_labels):
         kept_labels[n] = labels[i]
         n += labels[i] < PREFETCH
     return n
-
-
-def read_only(array: np.ndarray) -> np.ndarray:
-    """Return a view that cannot be written to, as Arrow's arrays cannot: to Numba that is another type, compiled apart."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
-def look_up(table: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Return table[rows] as uint32; the rows were checked to be in the table."""
-    values = np.empty(rows.size, np.uint32)
-    gather(table, rows, values)
-    return values
-
-
-@kernel
-def gather(table, rows, values):
-    """Copy table[rows[i]] to values[i]."""
-    for i in range(rows.size):
-        values[i] = table[rows[i]]
-
-
-def split(first: np.ndarray, last: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return one access for every line that an event touches, in ascending order, each with the event's label."""
-    n = first.size + int((last - first).sum(dtype=np.int64))
-    lines, out_labels = np.empty(n, np.uint32), np.empty(n, np.uint8)
-    fill_pieces(first, last, labels, lines, out_labels)
-    return lines, out_labels
-
-
-@kernel
-def fill_pieces(first, last, labels, lines, out_labels):
-    """Write the lines first[i] ... last[i] of every event i, and its label with each."""
-    n = 0
-    for i in range(first.size):
-        for line in range(np.int64(first[i]), np.int64(last[i]) + 1):
-            lines[n] = line
-            out_labels[n] = labels[i]
-            n += 1

@@ -5,7 +5,7 @@ All caches of one line size share the trace, decoded once, and one walk over the
 ways hit. A line that is the newest of its set is the newest in its smaller set of every larger number of sets, where it is
 found first and nothing moves: the walk stops there. (Every number of sets is thus the exact filter of ``cachesim.filter`` for
 the next; a filter in front drops what the first step stops at, and did not pay.) With a single set, the fully associative
-caches, the stack distances of ``cachesim.reuse`` serve all sizes at once.
+caches, the stack distances of ``cachesim.stack_distance`` serve all sizes at once.
 
 Pre-fetches that come with the trace act like reads, so what a cache holds does not depend on who asked: one pass counts demand
 accesses and pre-fetches apart (B of the paper), and a second over the demand accesses alone gives A. This is not so for FIFO
@@ -21,71 +21,17 @@ from typing import Any
 
 import numpy as np
 
-from cachesim.account import ratio
-from cachesim.config import CacheConfig, format_bytes, parse_bytes, parse_ways
-from cachesim.exact import PREFETCH
+from cachesim.access import PREFETCH
+from cachesim.all_associativity import Levels
+from cachesim.config import CacheConfig
 from cachesim.layout import Layout
-from cachesim.levels import Levels
 from cachesim.prefetch import Prefetch, parse_prefetch
-from cachesim.reuse import StackDistances, check_one_pass
+from cachesim.result import ratio
 from cachesim.source import RunSource, Source, demand_only, open_source
-from traces.errors import NptraceError
-from traces.pools import thread_pool
+from cachesim.stack_distance import StackDistances, check_one_pass
+from nptrace_base.errors import NptraceError
+from nptrace_base.pools import thread_pool
 from traces.reader import Run
-
-#: Most numbers of ways in one range.
-MAX_RANGE = 4096
-
-
-def parse_range(text: str) -> tuple[int, int]:
-    """Return the lowest and highest byte size that a text such as ``4K..64K`` or ``8K`` names."""
-    low, dots, high = (part.strip() for part in text.partition(".."))
-    sizes = parse_bytes(low), parse_bytes(high if dots else low)
-    if sizes[0] > sizes[1]:
-        raise NptraceError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
-    return sizes
-
-
-def parse_ways_range(text: str) -> tuple[str, ...]:
-    """Return the numbers of ways that a text such as ``1..16``, ``4`` or ``full`` names, for ``grid``."""
-    low, dots, high = (part.strip() for part in text.partition(".."))
-    if not dots:
-        return (low,)
-    try:
-        numbers = range(int(low), int(high) + 1)
-    except ValueError:
-        raise NptraceError(f"{text!r} is not a range of ways; write e.g. 1..16") from None
-    if not numbers:
-        raise NptraceError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
-    if numbers[-1] - numbers[0] >= MAX_RANGE:
-        raise NptraceError(f"{text!r} names more than {MAX_RANGE} numbers of ways; write e.g. 1..16")
-    return tuple(map(str, numbers))
-
-
-def grid(sizes: Sequence[tuple[int, int]], ways: Sequence[str], line_bytes: Sequence[int]) -> list[CacheConfig]:
-    """Return every LRU cache with a power of two as its number of sets whose size lies in one of the ranges.
-
-    Sizes follow from the ways: 4K to 64K with 3 ways of 32-byte lines are 6K, 12K, 24K and 48K. ``full`` ways are for every
-    power of two in a range, and for its ends.
-    """
-    configs = []
-    for line in line_bytes:
-        for way in ways:
-            is_full = way.strip().lower() == "full"
-            n_ways = parse_ways(way, line, line)
-            smallest = CacheConfig(n_ways * line, n_ways, line)
-            possible = {smallest.size_bytes << k for k in range(48)}
-            if is_full:
-                possible |= {end for ends in sizes for end in ends if end and end % line == 0}
-            fitting = sorted(size for size in possible if any(low <= size <= high for low, high in sizes))
-            configs += [CacheConfig(size, size // line if is_full else n_ways, line) for size in fitting]
-    if not configs:
-        said = ", ".join(format_bytes(low) + (f"..{format_bytes(high)}" if high > low else "") for low, high in sizes)
-        raise NptraceError(
-            f"no cache of {said} with {', '.join(ways)} ways has a power of two as its number of sets (size = sets x ways x "
-            "line); choose another size, e.g. 4K..64K"
-        )
-    return list(dict.fromkeys(configs))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from traces.errors import NptraceError
+from nptrace_base.errors import NptraceError
 
 #: Pixel orders that ``pixel_order`` knows.
 ORDERS = ("scanline", "tile", "morton", "hilbert", "random")

@@ -10,7 +10,7 @@ that point's t, so a tree finds what testing every triangle finds (docs/correctn
 
 import numpy as np
 
-from jit import inlined, kernel
+from nptrace_base.jit import inlined, kernel
 
 #: Margin of the culling tests, relative to the extent of the scene's core as seen from the ray's origin. Rounding moves the
 #: point that a hit stands for by at most 2^-46 of its triangle's extent from there (``THIN`` times the rounding of an edge

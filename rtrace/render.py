@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nptrace_base.errors import NptraceError
+from nptrace_base.pools import thread_pool
 from rtrace.camera import ORDERS, check_size, format_camera, pixel_order
-from rtrace.nodes import Tree, node_table
-from rtrace.scene import Scene
-from rtrace.shoot import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.scenes.scene import Scene
 from rtrace.traverse import NoRoomError
-from rtrace.treecache import cached_tree
-from traces.errors import NptraceError
+from rtrace.trees.tree import Tree, node_table
+from rtrace.trees.tree_cache import cached_tree
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
-from traces.pools import thread_pool
 from traces.writer import RunWriter, refuse_other
 
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses

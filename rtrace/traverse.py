@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jit import inlined, kernel
-from rtrace import nodes as layout
+from nptrace_base.errors import NptraceError
+from nptrace_base.jit import inlined, kernel
 from rtrace.intersect import NO_PRIM, end_of, inverse, margins, shear, triangle_t
-from rtrace.lanes import larger, load, pack, scaled_difference, smaller, unpack
-from rtrace.nodes import Tree, words
+from rtrace.simd import larger, load, pack, scaled_difference, smaller, unpack
+from rtrace.trees import tree as layout
+from rtrace.trees.tree import Tree, words
 from traces import format as contract
-from traces.errors import NptraceError
 
 # Indices are uint64 throughout: Numba tests a signed index for wrap-around at every access, which made the kd-tree half as
 # fast. A plain integer next to a uint64 becomes signed, hence the names.

@@ -24,7 +24,7 @@ def pytest_report_header():
 @pytest.fixture(scope="session", params=sorted(BENCHMARK))
 def benchmark_scene(request):
     """One of the four scenes of Table I."""
-    from rtrace.catalog import load_scene
+    from rtrace.scenes.catalog import load_scene
 
     name = request.param if os.environ.get("NPTRACE_SCENES") else BENCHMARK[request.param]
     return load_scene(name, notify=lambda text: None)

@@ -31,20 +31,22 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from cachesim.config import CacheConfig, format_bytes, parse_bytes, parse_ways
+from cachesim.grid import grid, parse_range, parse_ways_range
 from cachesim.layout import addresses, parse_layout
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
-from cachesim.sweep import grid, parse_range, parse_ways_range, sweep
-from options import BadInput, parse_kd
+from cachesim.sweep import sweep
+from nptrace.groups import BadInput
+from nptrace.scene_options import parse_kd
 from rtrace.camera import Camera, format_camera, parse_camera, parse_point, parse_size
-from rtrace.meshes.polygons import fan
-from rtrace.meshfile import SceneError
-from rtrace.scene import load_mesh, scene_from_triangles
-from tests.cache_reference import Cache
-from tests.cache_traces import make_trace, write
-from tests.fuzz_gltf import changed_gltf, try_changed_gltf
-from tests.run_values import SCHEMAS, is_as_good, legal_events, mutate
-from tests.tree_checks import SCENES, try_scene
+from rtrace.scenes.mesh_file import SceneError
+from rtrace.scenes.meshes.polygons import fan
+from rtrace.scenes.scene import load_mesh, scene_from_triangles
+from tests.reference.cache import Cache
+from tests.reference.fuzz_gltf import changed_gltf, try_changed_gltf
+from tests.reference.run_values import SCHEMAS, is_as_good, legal_events, mutate
+from tests.reference.traces import make_trace, write
+from tests.reference.tree_checks import SCENES, try_scene
 from traces.din import DinTrace, export_din
 from traces.format import FILES, METADATA_KEY
 from traces.reader import open_run
@@ -411,7 +413,7 @@ din_texts = damaged("0 1a2b40\n2 0x10 rest\n", "b ffffffff\r\n", "3 0\n\n").map(
 din_records = st.lists(st.tuples(st.integers(0, (1 << 32) - 1), st.integers(0, 80), st.sampled_from([0, 0, 2, 3, 11, 1, 8])))
 din_binary = din_records.map(lambda records: b"".join(struct.pack("<IHBB", *record, 0) for record in records))
 
-seeds = st.integers(0, 2**48)  # of random triangles; tests/tree_checks.py makes and checks their trees
+seeds = st.integers(0, 2**48)  # of random triangles; tests/reference/tree_checks.py makes and checks their trees
 din_plain = din_texts.map(lambda text: text.decode("ascii", "ignore").encode()) | din_texts.map(lambda _: b"0 1a2b40\nb 20\n")
 dresses = st.sampled_from(["gzip", "bz2", "lzma", "zstd", "lz4", "cr", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 

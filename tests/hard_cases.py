@@ -1,10 +1,10 @@
-"""The catalogue that the tests run: all of rtrace.hard_cases, and more of the random kind than a user's check needs."""
+"""The catalogue that the tests run: all of rtrace.checks.hard_cases, and more of the random kind than a user's check needs."""
 
 import numpy as np
 
-from rtrace.hard_cases import CASES as CASES_OF_CHECK
-from rtrace.hard_cases import Case, aimed, exact_case, known_case
-from rtrace.shapes import icosphere
+from rtrace.checks.hard_cases import CASES as CASES_OF_CHECK
+from rtrace.checks.hard_cases import Case, aimed, exact_case, known_case
+from rtrace.scenes.shapes import icosphere
 from rtrace.traverse import make_rays
 
 

@@ -1,6 +1,6 @@
 """The open list of hard cases that this project set out with, and which tests cover each: a table of docs/correctness.md.
 
-A test is ``file::function`` without ``test_`` in front of either; a hard case (``rtrace/hard_cases.py``) stands in quotes.
+A test is ``file::function`` without ``test_`` in front of either; a hard case (``rtrace/checks/hard_cases.py``) stands in quotes.
 """
 
 # ruff: noqa: E501

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rtrace.hard_cases import CASES
+from rtrace.checks.hard_cases import CASES
 from tests.open_list import OPEN_LIST
 
 TESTS = Path(__file__).parent

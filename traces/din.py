@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jit import kernel
+from nptrace_base.atomic import whole_file
+from nptrace_base.jit import kernel
 from traces.format import PREFETCH
 from traces.reader import Run
 from traces.stream import Stream, StreamError
-from traces.whole import whole_file
 
 LABELS = (0x0, 0x2, 0x3, 0xB)
 TEXT_ACCESS_BYTES = 4

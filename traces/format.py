@@ -16,7 +16,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from traces.errors import NptraceError
+from nptrace_base.errors import NptraceError
 
 FORMAT_VERSION = 1
 ROW_GROUP = 1 << 18  # rows: a page, which is one column of them, is 2 MB at most

@@ -13,15 +13,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from traces.checks import (
-    check_accesses,
-    check_nodes,
-    check_ray_numbers,
-    check_rays,
-    is_convertible,
-    kinds_allowed,
-    plain,
-)
 from traces.format import (
     ACCESSES,
     BOX,
@@ -34,6 +25,15 @@ from traces.format import (
     SPLIT,
     RunError,
     printable,
+)
+from traces.validation import (
+    check_accesses,
+    check_nodes,
+    check_ray_numbers,
+    check_rays,
+    is_convertible,
+    kinds_allowed,
+    plain,
 )
 
 #: Bytes that a node may have: with fewer than 2^32 nodes no address overflows.

@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nptrace_base.atomic import is_alive
 from traces.format import (
     ACCESSES,
     ENCODING,
@@ -32,7 +33,6 @@ from traces.format import (
     RunError,
     column_encoding,
 )
-from traces.whole import is_alive
 
 #: Pieces handed over and not yet taken, per file: a chunk of accesses is some MB.
 _AHEAD = 2

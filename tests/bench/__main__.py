@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrace.catalog import load_scene
+from rtrace.chunk import primary_rays, shadow_rays
 from rtrace.render import Shooting, render
-from rtrace.shoot import primary_rays, shadow_rays
+from rtrace.scenes.catalog import load_scene
 from rtrace.traverse import trace
-from rtrace.treecache import TREES, cached_tree
+from rtrace.trees.tree_cache import TREES, cached_tree
 from tests.bench.goals import ABSENT, GOALS, is_met
 from tests.bench.savings import bench_savings
 from tests.bench.several_rays import bench_several

@@ -1,6 +1,6 @@
 """``python -m tests.bench.arithmetic [--quick]``: traversal in float32 and without margins, against ours in float64 with them.
 
-The variants are texts: rtrace/lanes.py, intersect.py and traverse.py with the arithmetic or the margin replaced, compiled
+The variants are texts: rtrace/simd.py, intersect.py and traverse.py with the arithmetic or the margin replaced, compiled
 for the occasion. Camera rays, their shadow rays left out, and rays aimed at vertices and edges. Ours stands for the truth:
 it is brute force's answer, bit by bit. Written to docs/data/arithmetic.csv.
 """
@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from cachesim.known import ALONE, KnownReplay
 from cachesim.layout import addresses
-from cachesim.source import NodeLines
-from cachesim.table1 import SCENES, caches
+from cachesim.lines import NodeLines
+from cachesim.report.table1 import SCENES, caches
+from cachesim.sampling.cold_start import ALONE, KnownReplay
 from rtrace import traverse as ours
-from rtrace.catalog import load_scene
-from rtrace.nodes import Tree, node_table
-from rtrace.shoot import primary_rays
+from rtrace.checks.embree import kappa
+from rtrace.chunk import primary_rays
+from rtrace.scenes.catalog import load_scene
 from rtrace.traverse import Rays, make_rays
-from rtrace.treecache import TREES, cached_tree
-from rtrace.verify import kappa
+from rtrace.trees.tree import Tree, node_table
+from rtrace.trees.tree_cache import TREES, cached_tree
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "data" / "arithmetic.csv"

@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from cachesim.config import CacheConfig
-from cachesim.design import Design, weights
-from cachesim.estimate import QUANTITIES, TARGETED, Sampler, Target, parse_target, ratios_of
-from cachesim.regression import value_of
-from cachesim.table1 import SCENES, caches
-from cachesim.units import UnitCounts
-from rtrace.catalog import load_scene
+from cachesim.report.table1 import SCENES, caches
+from cachesim.sampling.estimate import QUANTITIES, TARGETED, Sampler, Target, parse_target, ratios_of
+from cachesim.sampling.strata import Design, weights
+from cachesim.sampling.two_phase import value_of
+from cachesim.sampling.unit_counts import UnitCounts
+from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting
-from rtrace.treecache import TREES, cached_tree
-from rtrace.units import RayUnits
+from rtrace.scenes.catalog import load_scene
+from rtrace.trees.tree_cache import TREES, cached_tree
 from tests.bench.step_pictures import PICTURES
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "data" / "calibration.csv"

@@ -12,13 +12,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from cachesim.estimate import estimate, parse_target
-from cachesim.table1 import SCENES, caches
-from cachesim.units import UnitCounts
-from rtrace.catalog import load_scene
+from cachesim.report.table1 import SCENES, caches
+from cachesim.sampling.estimate import estimate, parse_target
+from cachesim.sampling.unit_counts import UnitCounts
+from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting
-from rtrace.treecache import TREES, build_tree
-from rtrace.units import RayUnits
+from rtrace.scenes.catalog import load_scene
+from rtrace.trees.tree_cache import TREES, build_tree
 from tests.bench.calibration import TARGET
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "data" / "estimate_speed.csv"

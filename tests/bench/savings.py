@@ -8,10 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rtrace.scene import Scene
-from rtrace.shoot import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.scenes.scene import Scene
 from rtrace.traverse import trace, trace_recorded
-from rtrace.treecache import TREES, build_tree, cached_tree
+from rtrace.trees.tree_cache import TREES, build_tree, cached_tree
 from tests.bench.measure import ratio, times
 from traces.format import ENCODING
 

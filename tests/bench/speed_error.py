@@ -17,26 +17,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cachesim.all_associativity import Levels
 from cachesim.config import CacheConfig
-from cachesim.design import Design, weights
-from cachesim.estimate import QUANTITIES, Sampler, estimate, parse_target, ratios_of
+from cachesim.fast_lru import empty_tags, set_mask
 from cachesim.filter import DirectFilter, filter_sets
-from cachesim.hashed_lines import HashedDistances
-from cachesim.known import ALONE, KnownReplay, count_known
 from cachesim.layout import addresses
-from cachesim.levels import Levels
-from cachesim.lru import empty_tags, set_mask
-from cachesim.regression import LIKELY, value_of
-from cachesim.reuse import StackDistances
-from cachesim.set_sampling import in_classes
-from cachesim.source import NodeLines, demand_only
-from cachesim.table1 import SCENES, caches
-from cachesim.units import UnitCounts
-from rtrace.catalog import load_scene
+from cachesim.lines import NodeLines
+from cachesim.report.table1 import SCENES, caches
+from cachesim.sampling.cold_start import ALONE, KnownReplay, count_known
+from cachesim.sampling.estimate import QUANTITIES, Sampler, estimate, parse_target, ratios_of
+from cachesim.sampling.set_sampling import in_classes
+from cachesim.sampling.shards import HashedDistances
+from cachesim.sampling.strata import Design, weights
+from cachesim.sampling.two_phase import LIKELY, value_of
+from cachesim.sampling.unit_counts import UnitCounts
+from cachesim.source import demand_only
+from cachesim.stack_distance import StackDistances
+from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting
-from rtrace.scene import Scene
-from rtrace.treecache import TREES, build_tree, cached_tree
-from rtrace.units import RayUnits
+from rtrace.scenes.catalog import load_scene
+from rtrace.scenes.scene import Scene
+from rtrace.trees.tree_cache import TREES, build_tree, cached_tree
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT, PICTURE = ROOT / "docs" / "data" / "speed_error.csv", ROOT / "docs" / "speed-error"

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrace.bvh import build_bvh
-from rtrace.kdtree import build_kdtree
-from rtrace.nodes import Tree, words
+from rtrace.checks.embree import embree_scene
+from rtrace.chunk import primary_rays, shadow_rays
 from rtrace.render import CHUNK, Shooting, render
-from rtrace.scene import Scene
-from rtrace.shoot import primary_rays, shadow_rays
+from rtrace.scenes.scene import Scene
 from rtrace.traverse import Rays, Room, trace, trace_recorded
-from rtrace.verify import embree_scene
+from rtrace.trees.bvh import build_bvh
+from rtrace.trees.kdtree import build_kdtree
+from rtrace.trees.tree import Tree, words
 from tests.bench.measure import ratio, times
 from traces.reader import open_run
 

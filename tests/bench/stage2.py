@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from cachesim.all_associativity import Levels
 from cachesim.config import CacheConfig
-from cachesim.levels import Levels
-from cachesim.lru import direct_mapped, empty_tags, set_mask, two_way
+from cachesim.fast_lru import direct_mapped, empty_tags, set_mask, two_way
 from cachesim.replay import replay
-from cachesim.reuse import StackDistances
+from cachesim.stack_distance import StackDistances
 from tests.bench.measure import ratio, times
 from traces.din import export_din
 from traces.reader import Run
@@ -120,9 +120,9 @@ print((time.process_time() - start) / len(addresses))
 _FIRST_RAY = """
 import cli
 import numpy as np
-from rtrace.procedural import stand_in
-from rtrace.treecache import cached_tree
-from rtrace.shoot import primary_rays
+from rtrace.scenes.stand_ins import stand_in
+from rtrace.trees.tree_cache import cached_tree
+from rtrace.chunk import primary_rays
 from rtrace.traverse import trace_recorded
 scene = stand_in("blob", detail=0.1)
 rays = primary_rays(scene.camera.frame(1, 1), np.zeros(1, np.uint32), 1)

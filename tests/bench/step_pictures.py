@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cachesim.config import CacheConfig
-from cachesim.table1 import caches
+from cachesim.report.table1 import caches
 from rtrace.camera import Camera, Point
-from rtrace.procedural import height_field, icosphere
-from rtrace.scene import Scene, scene_from_triangles
+from rtrace.scenes.scene import Scene, scene_from_triangles
+from rtrace.scenes.stand_ins import height_field, icosphere
 
 
 class Picture(NamedTuple):

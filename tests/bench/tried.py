@@ -8,8 +8,9 @@ import pyarrow.parquet as pq
 
 from cachesim import source
 from cachesim.filter import DirectFilter
+from cachesim.lines import look_up, tally
 from cachesim.replay import replay
-from cachesim.source import RunSource, look_up, tally
+from cachesim.source import RunSource
 from tests.bench.measure import ratio, times
 from tests.bench.stage2 import TABLE1
 from traces.format import ACCESSES, ENCODING, ROW_GROUP, column_encoding

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rtrace import traverse
-from rtrace.nodes import Tree
 from rtrace.traverse import Rays, Room
+from rtrace.trees.tree import Tree
 from tests.bench.measure import ratio, times
 
 _SCALAR = """            t = (nodes[b + nx] - ax) * ix

@@ -1,0 +1,154 @@
+"""A sweep on disk: rows of ``cachesim.sweep`` -> CSV, Parquet, and a plot of miss rate over size and ways."""
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cachesim.config import format_bytes
+from cachesim.sweep import Row
+from nptrace_base.atomic import is_special, whole_file
+from nptrace_base.errors import NptraceError
+
+#: What a sweep is written as, by the ending of a name.
+TABLES = (".csv", ".parquet")
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def to_csv(rows: Sequence[Row]) -> str:
+    """Return CSV with a header, one line per row; an empty field is a rate whose denominator is 0."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(rows[0].to_dict()), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(row.to_dict() for row in rows)
+    return out.getvalue()
+
+
+def write(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as a CSV or Parquet file, by the ending of its name; whole or not at all."""
+    ending = ending_of(path, TABLES)
+    with whole_file(path) as temporary, open(temporary, "wb") as file:
+        if ending == ".csv":
+            file.write(to_csv(rows).encode("utf-8", "surrogateescape"))
+            return
+        # Parquet holds text, and a run's name may be none.
+        dicts = [{**row.to_dict(), "run": row.run.encode("utf-8", "backslashreplace").decode()} for row in rows]
+        types_of = {str: pa.string(), int: pa.int64()}  # the others are rates, and may be None
+        fields = [pa.field(name, types_of.get(type(value), pa.float64())) for name, value in dicts[0].items()]
+        pq.write_table(pa.Table.from_pylist(dicts, pa.schema(fields)), file)
+
+
+def ending_of(path: Path, endings: Sequence[str]) -> str:
+    """Return the ending that says what is written; the first for standard output and the like, whose names have none.
+
+    Raises NptraceError for a file of another ending.
+    """
+    if path.suffix in endings:
+        return path.suffix
+    if is_special(path):
+        return endings[0]
+    raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
+
+
+def plot(rows: Sequence[Row], path: Path) -> None:
+    """Draw the demand miss rate over size, a curve per number of ways, as a PNG, SVG or PDF file by the ending of its name.
+
+    One panel for each run (with its pre-fetches and layout) and line size. Of more than six numbers of ways, the powers of two
+    are drawn. Solid: with pre-fetching; dashed: without, where there is any.
+    """
+    ending = ending_of(path, PICTURES)
+    with whole_file(path) as temporary:
+        try:
+            from matplotlib import rc_context
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
+        with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 9}):
+            runs = list(dict.fromkeys(map(_run_of, rows)))
+            line_sizes = sorted({row.config.line_bytes for row in rows})
+            figure = Figure(figsize=(1.4 + 3.1 * len(line_sizes), 0.6 + 2.6 * len(runs)), layout="constrained")
+            panels = figure.subplots(len(runs), len(line_sizes), sharex=True, sharey="row", squeeze=False)
+            styles = _styles(rows)
+            for run, panel_row in zip(runs, panels, strict=True):
+                for line_bytes, panel in zip(line_sizes, panel_row, strict=True):
+                    shown = [row for row in rows if _run_of(row) == run and row.config.line_bytes == line_bytes]
+                    _draw_panel(panel, shown, styles)
+                    panel.set_title(f"{run[0]}, {format_bytes(line_bytes)} B lines{run[1]}", fontsize=9)
+            figure.supxlabel("cache size (bytes, K = 1024)", fontsize=9)
+            figure.supylabel("demand misses / demand accesses (%)", fontsize=9)
+            _draw_legend(figure, styles, has_prefetch=any(row.prefetch_accesses for row in rows))
+            # No time stamp: the same rows give the same file.
+            stamps: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+            figure.savefig(temporary, dpi=200, metadata=stamps.get(ending), format=ending[1:])
+
+
+def _run_of(row: Row) -> tuple[str, str]:
+    """Return the name of a run, and what else tells its rows apart."""
+    settings = [row.prefetch] * (row.prefetch not in ("none", "traced")) + [row.layout] * (row.layout != "stored")
+    return row.run, "".join(f", {setting}" for setting in settings)
+
+
+def _ways_of(row: Row) -> int | str:
+    return "full" if row.config.n_sets == 1 else row.config.ways
+
+
+def _styles(rows: Sequence[Row]) -> dict[int | str, dict[str, Any]]:
+    """Return colour and marker for every number of ways that is drawn: light to dark, an order that grey keeps."""
+    from matplotlib import colormaps
+
+    ways = sorted({way for row in rows if isinstance(way := _ways_of(row), int)})
+    if len(ways) > 6:
+        ways = [way for way in ways if way & (way - 1) == 0]
+    shades = colormaps["viridis"](np.linspace(0.9, 0.0, max(len(ways), 2)))
+    styles: dict[int | str, dict[str, Any]] = {
+        way: {"color": tuple(shade), "marker": marker}
+        for way, shade, marker in zip(ways, shades, "osD^vPX*<>" * 4, strict=False)
+    }
+    if any(_ways_of(row) == "full" for row in rows):
+        styles["full"] = {"color": "black", "marker": "x"}
+    return styles
+
+
+def _draw_panel(panel: Any, rows: Sequence[Row], styles: dict[int | str, dict[str, Any]]) -> None:
+    """Draw the curves of one run and line size."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    for ways, style in styles.items():
+        curve = sorted((row for row in rows if _ways_of(row) == ways), key=lambda row: row.config.size_bytes)
+        sizes = [row.config.size_bytes for row in curve]
+        dicts = [row.to_dict() for row in curve]
+        kinds = {"-": "demand_miss_rate"}
+        if any(row.prefetch_accesses for row in curve):
+            kinds["--"] = "demand_miss_rate_without"
+        for line_style, rate in kinds.items():
+            rates = [100.0 * (values[rate] or 0.0) for values in dicts]
+            marker = style["marker"] if line_style == "-" else ""
+            panel.plot(sizes, rates, line_style, color=style["color"], marker=marker, markersize=3.5, linewidth=1.1)
+    panel.set_xscale("log", base=2)
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda size, _: format_bytes(round(size))))
+    panel.xaxis.set_minor_locator(NullLocator())
+    if any(row.demand_misses for row in rows):
+        panel.set_yscale("log")
+        panel.yaxis.set_major_formatter(FuncFormatter(lambda rate, _: f"{rate:g}"))
+        panel.yaxis.set_minor_formatter(FuncFormatter(lambda rate, _: f"{rate:g}" if f"{rate:e}"[0] in "25" else ""))
+    panel.grid(which="major", color="0.88", linewidth=0.6)
+    panel.tick_params(which="both", labelsize=8)
+    panel.spines[["top", "right"]].set_visible(False)
+
+
+def _draw_legend(figure: Any, styles: dict[int | str, dict[str, Any]], *, has_prefetch: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    keys = [Line2D([], [], markersize=4, label=str(ways), **style) for ways, style in styles.items()]
+    figure.legend(handles=keys, title="ways (LRU)", loc="outside right upper", frameon=False, fontsize=8)
+    if has_prefetch:
+        keys = [
+            Line2D([], [], color="0.3", linestyle="-", label="with\npre-fetching"),
+            Line2D([], [], color="0.3", linestyle="--", label="without"),
+        ]
+        figure.legend(handles=keys, loc="outside right lower", frameon=False, fontsize=8)

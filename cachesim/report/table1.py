@@ -1,0 +1,187 @@
+"""Table I of the paper beside ours: the runs of the four scenes and two trees -> one row per tree, scene and cache.
+
+The paper's metric counts pre-fetches as accesses: its miss rate is all misses / all accesses, its bandwidth all fills. Its
+ACPR is N ((1 - R) 1 + R 100) with that miss rate R and one N for all scenes of a tree (``PAPER_N``, derived from the table:
+ACPR / (1 + 99 R) is the same in every row). The demand metric stands beside it.
+"""
+
+import csv
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cachesim.config import CacheConfig
+from cachesim.replay import replay
+from cachesim.result import Result, ratio
+from cachesim.source import read_footer
+from nptrace_base.errors import NptraceError
+from traces.reader import Run
+
+TREES = {"kdtree": "kd-tree", "bvh": "BVH"}
+SCENES = ("bunny", "conference", "sibenik", "sponza")
+
+#: The paper's average number of node accesses of a ray, by tree.
+PAPER_N = {"kdtree": 15.77, "bvh": 27.00}
+HIT_CYCLES, MISS_CYCLES = 1, 100
+
+#: The paper's columns: miss rate in per cent, bandwidth in KB, ACPR in cycles; ratios are b/a in per cent.
+NAMES = ("miss_a", "miss_b", "miss_ratio", "kb_a", "kb_b", "kb_ratio", "acpr_a", "acpr_b", "acpr_ratio")
+
+#: Ours beside them: counts, and per cent.
+DEMAND_NAMES = (
+    "demand_accesses", "prefetches", "demand_miss_a", "demand_miss_b", "demand_ratio", "coverage", "accuracy"
+)  # fmt: skip
+
+Key = tuple[str, str, int, int]  # tree, scene, size_bytes, ways
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: ``ours`` and ``paper`` by the names above; ``nodes_per_ray`` is the measured N."""
+
+    tree: str
+    scene: str
+    is_stand_in: bool
+    size_bytes: int
+    ways: int
+    ours: dict[str, float | None]
+    paper: dict[str, float]
+    nodes_per_ray: float | None
+
+    @property
+    def scene_title(self) -> str:
+        """The scene's name, with ``(stand-in)`` when it is one."""
+        return self.scene + (" (stand-in)" if self.is_stand_in else "")
+
+    def measured_acpr(self, name: str) -> float | None:
+        """Return ``acpr_a`` or ``acpr_b`` with the measured N."""
+        ours = self.ours[name]
+        if ours is None or self.nodes_per_ray is None:
+            return None
+        return ours / PAPER_N[self.tree] * self.nodes_per_ray
+
+
+def paper_table() -> dict[Key, dict[str, float]]:
+    """Return the 32 rows of the paper, in its order."""
+    with open(Path(__file__).with_name("table1_paper.csv"), encoding="ascii", newline="") as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    return {
+        (row["tree"], row["scene"], int(row["size_bytes"]), int(row["ways"])): {name: float(row[name]) for name in NAMES}
+        for row in rows
+    }
+
+
+def caches() -> list[CacheConfig]:
+    """Return the four caches of the table, in its order."""
+    return [CacheConfig(size, ways, 32) for size, ways in dict.fromkeys((size, ways) for _, _, size, ways in paper_table())]
+
+
+def acpr(n: float, miss_rate: float | None) -> float | None:
+    """Return the average cycles a ray spends on node accesses, the paper's equation 1."""
+    return None if miss_rate is None else n * ((1 - miss_rate) * HIT_CYCLES + miss_rate * MISS_CYCLES)
+
+
+def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
+    """Return the run of every (tree, scene) of the table; others are left out.
+
+    Of several, the one named ``<scene>-<tree>`` is taken; without one, that is an error.
+    """
+    found: dict[tuple[str, str], list[Run]] = {}
+    for run in runs:
+        footer = read_footer(run)
+        if footer.scene in SCENES:
+            found.setdefault((footer.tree, footer.scene), []).append(run)
+    chosen = {}
+    for (tree, scene), candidates in found.items():
+        named = [run for run in candidates if run.name == f"{scene}-{tree}"] or candidates
+        if len(named) > 1:
+            names = " and ".join(str(run.path) for run in named)
+            raise NptraceError(f"{names} are both {scene} as a {TREES[tree]}; keep one, or name one {scene}-{tree}")
+        chosen[tree, scene] = named[0]
+    return chosen
+
+
+def missing(chosen: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return the (tree, scene) pairs of the table that have no run."""
+    have = set(chosen)
+    return [(tree, scene) for tree in TREES for scene in SCENES if (tree, scene) not in have]
+
+
+def table1(runs: Iterable[Run], *, threads: int | None = None, progress: Callable[[int], None] | None = None) -> list[Row]:
+    """Return the rows of Table I for which there is a run, in the paper's order."""
+    chosen = choose_runs(runs)
+    paper = paper_table()
+    rows = []
+    for (tree, scene), run in sorted(chosen.items(), key=lambda item: (list(TREES).index(item[0][0]), item[0][1])):
+        keys = [key for key in paper if key[:2] == (tree, scene)]
+        configs = [CacheConfig(size, ways, 32) for _, _, size, ways in keys]
+        is_stand_in = read_footer(run).is_stand_in
+        for key, result in zip(keys, replay(run, configs, threads=threads, progress=progress), strict=True):
+            rows.append(_row(key, is_stand_in, result, paper[key]))
+    return rows
+
+
+def _row(key: Key, is_stand_in: bool, result: Result, paper: dict[str, float]) -> Row:
+    tree, scene, size_bytes, ways = key
+    miss_a = ratio(result.demand_misses_without, result.demand_accesses)
+    miss_b, n = result.paper_miss_rate, PAPER_N[tree]
+    ours: dict[str, float | None] = {"miss_a": _percent(miss_a), "miss_b": _percent(miss_b)}
+    ours["kb_a"] = result.demand_misses_without * result.config.line_bytes / 1024
+    ours["kb_b"] = result.bytes_from_memory / 1024
+    ours["acpr_a"], ours["acpr_b"] = acpr(n, miss_a), acpr(n, miss_b)
+    for name in ("miss", "kb", "acpr"):
+        a, b = ours[f"{name}_a"], ours[f"{name}_b"]
+        ours[f"{name}_ratio"] = None if a is None or b is None else _percent(ratio(b, a))
+    demand: dict[str, float | None] = {
+        "demand_accesses": result.demand_accesses,
+        "prefetches": result.prefetch_accesses,
+        "demand_miss_a": _percent(miss_a),
+        "demand_miss_b": _percent(result.demand_miss_rate),
+        "demand_ratio": _percent(ratio(result.demand_misses, result.demand_misses_without)),
+        "coverage": _percent(result.coverage),
+        "accuracy": _percent(result.accuracy),
+    }
+    per_ray = ratio(result.demand_accesses, result.n_rays or 0)
+    return Row(tree, scene, is_stand_in, size_bytes, ways, {n: ours[n] for n in NAMES} | demand, paper, per_ray)
+
+
+def _percent(fraction: float | None) -> float | None:
+    return None if fraction is None else 100 * fraction
+
+
+def to_dicts(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """Return the rows as JSON values: the columns of the CSV, and the measured N with its ACPR."""
+    return [
+        _flat(row) | {
+            "stand_in": row.is_stand_in,
+            "nodes_per_ray": row.nodes_per_ray,
+            "acpr_a_measured_n": row.measured_acpr("acpr_a"),
+            "acpr_b_measured_n": row.measured_acpr("acpr_b"),
+        }
+        for row in rows
+    ]  # fmt: skip
+
+
+def _flat(row: Row) -> dict[str, Any]:
+    values: dict[str, Any] = {
+        "tree": row.tree, "scene": row.scene_title, "size_bytes": row.size_bytes, "ways": row.ways
+    }  # fmt: skip
+    for name in NAMES:
+        values[name], values[f"{name}_paper"] = row.ours[name], row.paper[name]
+    return values | {name: row.ours[name] for name in DEMAND_NAMES}
+
+
+def to_csv(rows: Iterable[Row]) -> str:
+    """Return the rows as CSV with a header; an empty field is a rate whose denominator is 0."""
+    header = ["tree", "scene", "size_bytes", "ways"]
+    header += [each for name in NAMES for each in (name, f"{name}_paper")] + list(DEMAND_NAMES)
+    lines = [",".join(header)]
+    lines += [",".join(_csv_field(value) for value in _flat(row).values()) for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _csv_field(value: Any) -> str:
+    if value is None:
+        return ""
+    return str(round(value, 4) if isinstance(value, float) else value)

@@ -1,0 +1,75 @@
+"""Table I for people: rows of ``cachesim.report.table1`` -> tables (ours, the paper's, the difference) and the notes below."""
+
+from collections.abc import Sequence
+
+from cachesim.config import format_bytes
+from cachesim.report.table1 import NAMES, PAPER_N, TREES, Row
+from nptrace_base.tables import Table, number
+
+_HEADER = (
+    ["Scene", "Cache", ""]
+    + [f"{group}\n{column}" for group in ("miss", "KB", "ACPR") for column in ("A", "B", "B/A")]
+    + ["demand\nA", "demand\nB", "demand\nB/A", "cover-\nage", "accu-\nracy"]
+)
+_DECIMALS = {"miss_a": 1, "miss_b": 1, "kb_a": 0, "kb_b": 0}
+_DEMAND = ("demand_miss_a", "demand_miss_b", "demand_ratio", "coverage", "accuracy")
+
+NOTES = (
+    "A: without, B: with pre-fetching; rates and B/A in %. miss, KB and ACPR are the paper's metric, which counts "
+    "pre-fetches as accesses: miss = all misses / all accesses (demand + pre-fetch), KB = all lines filled. "
+    "diff = ours - paper.",
+    "The demand metric leaves pre-fetches out: demand = demand misses / demand accesses; coverage = 1 - demand misses B / A; "
+    "accuracy = useful / filled pre-fetches.",
+    f"ACPR = N ((1 - R) 1 + R 100) with the paper's miss rate R and its N: {PAPER_N['kdtree']:.2f} (kd-tree), "
+    f"{PAPER_N['bvh']:.2f} (BVH).",
+)  # fmt: skip
+
+
+def tables(rows: Sequence[Row]) -> list[Table]:
+    """Return one table per tree, and one of the ACPR with the measured N."""
+    made = [_tree_table(title, [row for row in rows if row.tree == tree]) for tree, title in TREES.items()]
+    return [table for table in made if table.rows] + [_acpr_table(rows)]
+
+
+def notes(rows: Sequence[Row]) -> list[str]:
+    """Return the lines under the tables."""
+    stand_ins = [] if not any(row.is_stand_in for row in rows) else [
+        "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
+    ]  # fmt: skip
+    return [*NOTES, *stand_ins]
+
+
+def _tree_table(title: str, rows: Sequence[Row]) -> Table:
+    lines: list[list[str]] = []
+    sections = set()
+    for row in rows:
+        is_first = not lines or len(lines) - 1 in sections
+        cache = f"{format_bytes(row.size_bytes)}({row.ways})"
+        scene = row.scene.title() if is_first else ""
+        mark = "(stand-in)" if is_first and row.is_stand_in else ""
+        ours, paper, diff = [scene, cache, "ours"], [mark, "", "paper"], ["", "", "diff"]
+        for name in NAMES:
+            decimals, mine = _DECIMALS.get(name, 1), row.ours[name]
+            ours.append(number(mine, decimals, group=""))
+            paper.append(number(row.paper[name], 0 if name == "acpr_ratio" else decimals, group=""))
+            diff.append(number(None if mine is None else mine - row.paper[name], decimals, sign=True, group=""))
+        ours += [number(row.ours[name], 1 if name in ("demand_ratio", "accuracy") else 2) for name in _DEMAND]
+        lines += [ours, paper + [""] * len(_DEMAND), diff + [""] * len(_DEMAND)]
+        if row.size_bytes == rows[-1].size_bytes and row.ways == rows[-1].ways:
+            sections.add(len(lines) - 1)
+    return Table(title, _HEADER, lines, n_left=3, sections=sections)
+
+
+def _acpr_table(rows: Sequence[Row]) -> Table:
+    caches = sorted({(row.size_bytes, row.ways) for row in rows})
+    header = ["Tree", "Scene", "N"] + [f"{format_bytes(size)}({ways})\n{ab}" for size, ways in caches for ab in "AB"]
+    groups: dict[tuple[str, str], dict[tuple[int, int], Row]] = {}
+    for row in rows:
+        groups.setdefault((row.tree, row.scene_title), {})[row.size_bytes, row.ways] = row
+    lines = []
+    for (tree, scene), by_cache in groups.items():
+        line = [TREES[tree], scene[:1].upper() + scene[1:], number(next(iter(by_cache.values())).nodes_per_ray, 2)]
+        for cache in caches:
+            line += [number(by_cache[cache].measured_acpr(name), 1) for name in ("acpr_a", "acpr_b")]
+        lines.append(line)
+    return Table("ACPR with the measured N (demand accesses per ray)", header, lines, n_left=2)

@@ -1,0 +1,1 @@
+"""Estimates from part of the rays."""

@@ -1,0 +1,86 @@
+"""nptrace check: our hits against Embree's, and the catalogue of hard cases."""
+
+import json
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nptrace.groups import BadInput
+from nptrace.scene_options import load_scenes, scene_options
+
+if TYPE_CHECKING:
+    pass
+
+
+@click.command()
+@click.argument("names", metavar="[SCENE]...", nargs=-1)
+@click.option("--hard", is_flag=True, help="Run the catalogue of hard cases, whose answers are exact, through all structures.")
+@click.option("--long", "is_long", is_flag=True, help="With --hard: the long form, some minutes.")
+@click.option("--size", default="256x256", show_default=True, metavar="WxH", help="Pixels of the picture.")
+@click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="Random rays.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the random rays.")
+@scene_options
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def check(
+    names: tuple[str, ...], hard: bool, is_long: bool, size: str, n_random: int, seed: int, strict: bool, offline: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Compare both trees with Embree on camera, shadow and random rays; exit 1 beyond a limit.
+
+    \b
+    nptrace check bunny
+    nptrace check model.ply --random 1000000
+    nptrace check --hard
+    """
+    from rtrace.camera import parse_size
+
+    if not names and not hard:
+        raise BadInput("name a scene to compare with Embree, or give --hard")
+    width, height = parse_size(size)
+    rows: list[dict[str, Any]] = []
+    if hard:
+        from rtrace.checks.hard_cases import run_all
+
+        rows += [{**row._asdict(), "is_good": row.is_good} for row in run_all(is_long)]
+    if names:
+        from rtrace.checks.embree import compare
+        from rtrace.trees.tree_cache import TREES, cached_tree
+
+        for scene in load_scenes(names, strict, offline):
+            trees = [cached_tree(scene, kind) for kind in TREES]
+            compared = compare(trees, scene, width, height, n_random, seed)
+            rows += [{"scene": scene.label, **row._asdict(), "is_good": row.is_good} for row in compared]
+    n_bad = sum(not row["is_good"] for row in rows)
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+    else:
+        print_checks(rows, f"{len(rows)} comparisons, {n_bad} beyond their limit.")
+    if n_bad:
+        raise SystemExit(1)
+
+
+def print_checks(rows: list[dict[str, Any]], note: str) -> None:
+    """Print comparisons with Embree and hard cases, each kind as a table of its own."""
+    from nptrace_base.tables import Table, number, print_tables
+
+    verdict = {True: "ok", False: "BEYOND"}
+    counts = ("n_rays", "lost", "invented", "wrong", "unlike", "ambiguous")
+    embree = [
+        [r["scene"], r["tree"], r["rays"], number(r["n_rays"]), r["what"], f"{r['value']:.3g}", f"{r['limit']:.3g}",
+         verdict[r["is_good"]]]
+        for r in rows if "scene" in r
+    ]  # fmt: skip
+    hard = [
+        [r["case"], r["structure"], *(number(r[name]) for name in counts), f"{r['t_error']:.2g}", f"{r['bound']:.2g}",
+         verdict[r["is_good"]]]
+        for r in rows if "case" in r
+    ]  # fmt: skip
+    tables = []
+    if hard:
+        header = ["Hard case", "Structure", "Rays", "Lost", "Invented", "Wrong", "Unlike", "Ambiguous", "t error", "Bound", ""]
+        tables.append(Table("", header, hard, n_left=2))
+    if embree:
+        header = ["Scene", "Tree", "Rays", "Number", "Compared", "Value", "Limit", ""]
+        tables.append(Table("", header, embree, n_left=3))
+    print_tables(tables, [note], sys.stdout)

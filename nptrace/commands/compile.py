@@ -1,0 +1,16 @@
+"""nptrace compile: every kernel, ahead of its first use."""
+
+import click
+
+from nptrace_base import compiling
+
+
+@click.command(name="compile")
+def compile_() -> None:
+    """Compile everything now, which the first use of each command does otherwise; kept until the program changes."""
+    from nptrace.precompile import compile_all
+    from nptrace_base.jit import cache_folder
+
+    n_compiled = compile_all()
+    kept = "" if "kernels" in compiling.lost else f", all ready in {cache_folder()}"
+    click.echo(f"{n_compiled} kernels compiled{kept}")

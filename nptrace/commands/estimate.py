@@ -1,0 +1,98 @@
+"""npcache estimate: miss rates of a large picture from part of its rays."""
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from cachesim.config import CacheConfig, parse_bytes, parse_ways
+from nptrace.groups import BadInput
+from nptrace.options import list_option
+from nptrace.output import output_option
+from nptrace.progress import progress_bar
+from nptrace.scene_options import load_scenes, parse_kd, picture_options
+
+if TYPE_CHECKING:
+    from cachesim.sampling.estimate import Estimated, Target
+    from rtrace.scenes.scene import Scene
+
+
+def estimate_scenes(
+    scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", *, pixels: str,
+    camera: str | None, light: str | None, order: str, batch: int, kd_text: str, bvh_builder: str, seed: int,
+    exact_below: float, threads: int, resume: Path | None = None,
+) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
+    """Hand the renderer of every scene and tree to the estimator; return (tree, scene, result) of each."""
+    from cachesim.sampling.estimate import estimate as estimate_source
+    from rtrace.camera import parse_camera, parse_point, parse_size
+    from rtrace.ray_source import RayUnits
+    from rtrace.render import Shooting
+    from rtrace.scenes.scene import seen_from
+    from rtrace.trees.tree_cache import cached_tree
+
+    shooting = Shooting(*parse_size(pixels), order, batch, seed if order == "random" else 0)
+    params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
+    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
+    if resume is not None and len(scenes) * len(accel) > 1:
+        raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
+    found = []
+    for scene in scenes:
+        for kind in accel:
+            source = RayUnits(seen_from(scene, eye, lamp), cached_tree(scene, kind, **params[kind]), shooting)
+            with progress_bar(f"estimate {source.name}", None) as progress:
+                result = estimate_source(
+                    source, configs, target, seed=seed, threads=threads, exact_below=exact_below, resume=resume,
+                    progress=progress,
+                )  # fmt: skip
+            found.append((kind, scene, result))
+    return found
+
+
+@click.command()
+@click.argument("names", metavar="SCENE...", nargs=-1, required=True)
+@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
+@list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
+@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Ways, e.g. 1,2,full.")
+@click.option("--line", type=str, default="32", show_default=True, metavar="SIZE", help="Line size in bytes.")
+@click.option("--table1", "is_table1", is_flag=True, help="The four caches of Table I, instead of --size and --assoc.")
+@click.option(
+    "--target-error", "error", default="2%,0.05pp", show_default=True, metavar="ERROR",
+    help="Half-width allowed for every miss rate: of its value (2%), in points (0.05pp), or the wider of two.",
+)  # fmt: skip
+@picture_options
+@output_option("--resume", help="File that keeps the counts; continued if there.")
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def estimate(
+    names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
+    resume: Path | None, as_json: bool, strict: bool, offline: bool, **picture: Any,
+) -> None:  # fmt: skip
+    """Estimate the miss rates of a picture from as few of its rays as a target error takes.
+
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. It is rendered as `nptrace render` does with the same
+    options, but only where the sample needs it, and nothing is written.
+
+    \b
+    npcache estimate sponza --table1
+    npcache estimate model.obj --size 16K,64K --assoc 2,8 --target-error 5% --pixels 4096x4096 --accel bvh
+    """
+    from cachesim.report import estimate_tables
+    from cachesim.report.table1 import caches
+    from cachesim.sampling.estimate import parse_target
+    from nptrace_base.tables import print_tables
+
+    target = parse_target(error)
+    configs = caches() if is_table1 else [
+        CacheConfig(one_size, parse_ways(ways, one_size, parse_bytes(line)), parse_bytes(line))
+        for one_size in size for ways in assoc
+    ]  # fmt: skip
+    found = estimate_scenes(
+        load_scenes(names, strict, offline), accel or ("kdtree", "bvh"), configs, target, resume=resume, **picture
+    )
+    results = [result for _, _, result in found]
+    if as_json:
+        click.echo(json.dumps([result.to_dict() for result in results], indent=2))
+    else:
+        print_tables(*estimate_tables.tables(results), sys.stdout)

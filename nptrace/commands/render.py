@@ -1,0 +1,118 @@
+"""nptrace render: scenes -> runs."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nptrace import __version__
+from nptrace.options import threads_option
+from nptrace.progress import progress_bar
+from nptrace.scene_options import check_run_names, load_scenes, parse_kd, scene_options
+
+if TYPE_CHECKING:
+    pass
+
+
+@click.command()
+@click.argument("names", metavar="SCENE...", nargs=-1, required=True)
+@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
+@click.option("--size", default="128x128", show_default=True, metavar="WxH", help="Pixels of the picture.")
+@click.option("--camera", metavar="TEXT", help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; else the scene's own or a fitted one.")
+@click.option("--light", metavar="X,Y,Z", help="Place of the point light; else the scene's own or a fitted one.")
+@click.option(
+    "--order",
+    type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]),
+    default="scanline",
+    show_default=True,
+    help="Order in which the pixels are shot.",
+)
+@click.option(
+    "--batch",
+    type=click.IntRange(0),
+    default=1,
+    show_default=True,
+    help="Primary rays shot before their shadow rays; 0: all of them.",
+)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the random order.")
+@click.option(
+    "--kd",
+    "kd_text",
+    metavar="NAME=VALUE,...",
+    default="",
+    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level; `coarse` is max_level=16.",
+)
+@click.option(
+    "--bvh",
+    "bvh_builder",
+    type=click.Choice(["sweep", "binned"]),
+    default="sweep",
+    show_default=True,
+    help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
+)
+@click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
+@click.option(
+    "--name", "run_names", multiple=True, metavar="NAME",
+    help="Name of the run, before -kdtree or -bvh, in place of the scene's; once per SCENE.",
+)  # fmt: skip
+@click.option("--overwrite", is_flag=True, help="Replace a run of another scene, picture or tree that has the same name.")
+@threads_option()
+@scene_options
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def render(
+    names: tuple[str, ...], accel: tuple[str, ...], size: str, camera: str | None, light: str | None, order: str, batch: int,
+    seed: int, kd_text: str, bvh_builder: str, out: Path, run_names: tuple[str, ...], overwrite: bool, threads: int,
+    strict: bool, offline: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Trace pictures of scenes and write one run per scene and tree.
+
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>; the same run made again
+    replaces itself, another one of its name is kept unless --overwrite is given.
+
+    \b
+    nptrace render bunny
+    nptrace render a/scene.gltf b/scene.gltf --name chair --name table
+    nptrace render model.obj --accel bvh --size 512x512 --camera "eye=0,2,5 at=0,0,0"
+    """
+    from rtrace.camera import parse_camera, parse_point, parse_size
+    from rtrace.render import Shooting, render_all
+    from rtrace.scenes import float32_check
+    from rtrace.scenes.scene import seen_from
+    from rtrace.trees.strays import margin_note
+
+    check_run_names(run_names, len(names))
+    shooting = Shooting(*parse_size(size), order, batch, seed)
+    params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
+    chosen = {kind: params[kind] for kind in accel or params}
+    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
+    scenes = [seen_from(scene, eye, lamp) for scene in load_scenes(names, strict, offline)]
+    for scene in scenes:
+        if scene.precision is not None:
+            click.echo(f"{scene.label}: {float32_check.choice(scene.precision)}", err=True)
+        if note := margin_note(scene.triangles, scene.bounds, scene.camera.eye):
+            click.echo(f"{scene.label}: {note}", err=True)
+    n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen)
+    with progress_bar("trace", n_pixels) as progress:
+        summaries = render_all(
+            scenes, chosen, shooting, out, names=run_names, overwrite=overwrite, threads=threads,
+            tool_version=__version__, progress=progress,
+        )  # fmt: skip
+        runs = list(summaries)
+    if as_json:
+        click.echo(json.dumps([run._asdict() for run in runs], indent=2))
+        return
+    from nptrace_base.tables import Table, number, percent, print_tables
+    from traces.format import printable
+
+    header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Pre-fetches"]
+    rows = [
+        [
+            printable(run.path), number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),
+            number(run.n_shadow_rays), percent(run.shadowed_share, 1), number(run.n_accesses), number(run.accesses_per_ray, 1),
+            number(run.n_prefetches),
+        ]
+        for run in runs
+    ]  # fmt: skip
+    print_tables([Table("", header, rows)], [], sys.stdout)

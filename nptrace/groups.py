@@ -1,0 +1,89 @@
+"""The two groups of commands: an error of an input becomes one sentence, Ctrl-C ends a program at once."""
+
+import errno
+import gc
+import io
+import os
+import signal
+import sys
+import time
+from typing import Any
+
+import click
+
+from nptrace_base import compiling
+from nptrace_base.errors import NptraceError
+
+#: What a full disk says, whose error may not name a file: standard output has none.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+#: Exit status of a program that Ctrl-C ended.
+INTERRUPTED = 130
+
+
+class Interrupt:
+    """What Ctrl-C does to a program: it leaves at once, deleting on its way what is half written.
+
+    Further ones do not disturb that; after a second of it they end everything.
+    """
+
+    def __init__(self) -> None:
+        self.is_seen = False
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored, as behind nohup
+            signal.signal(signal.SIGINT, self._leave)
+
+    def _leave(self, number: int, frame: object) -> None:
+        if not self.is_seen:
+            self.is_seen, self._time = True, time.monotonic()
+            sys.unraisablehook = lambda error: None  # it may be seen in a place that cannot be left
+            raise SystemExit(INTERRUPTED)
+        if time.monotonic() > self._time + 1:
+            os._exit(INTERRUPTED)
+
+
+class BadInput(click.ClickException):
+    """One sentence on stderr, exit status 2."""
+
+    exit_code = 2
+
+
+class Commands(click.Group):
+    """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as a program: a message announces compiling, Ctrl-C ends it quietly."""
+        if args:
+            return super().__call__(*args, **kwargs)
+        gc.set_threshold(*compiling.GC_THRESHOLD)
+        # Before NumPy is imported: no command multiplies large matrices, and OpenBLAS's idle threads spin for 0.1 s.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        compiling.announce = lambda text: click.echo(text, err=True)
+        interrupt = Interrupt()
+        try:
+            return super().__call__(**kwargs)
+        finally:
+            if interrupt.is_seen:
+                os._exit(INTERRUPTED)  # threads may be busy for seconds; what they wrote is deleted by now
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Parse and run; a name that stdout cannot write, because it is no text or not ASCII, appears with escapes."""
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="backslashreplace")
+        return super().main(*args, **kwargs)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Invoke the command."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            raise  # the reader has enough; click ends quietly
+        except NptraceError as e:
+            raise BadInput(str(e)) from e
+        except MemoryError as e:
+            reason = f" ({e})" if str(e) else ""
+            raise BadInput(f"there is not enough memory{reason}; take a smaller picture, mesh or cache, or fewer rays") from e
+        except OSError as e:
+            if e.filename is None and e.errno not in _FULL:
+                raise
+            raise BadInput(f"{e.filename or 'standard output'}: {e.strerror}; name another file or folder") from e

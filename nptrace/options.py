@@ -1,0 +1,49 @@
+"""What the commands share: options, their types and their errors, progress on stderr, files that appear whole."""
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nptrace.groups import BadInput
+from nptrace_base.errors import NptraceError
+
+if TYPE_CHECKING:
+    pass
+
+
+class ListOf(click.ParamType):
+    """A comma-separated list; every item goes through a function that raises NptraceError on a bad one."""
+
+    def __init__(self, name: str, item: Any) -> None:
+        self.name, self._item = name, item
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the list that a text names."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return [self._item(text) for text in value.split(",")]
+        except NptraceError as e:
+            raise BadInput(f"{param.opts[0]}: {e}" if param else str(e)) from e
+
+
+def merged(ctx: click.Context, param: click.Parameter, values: tuple[list[Any], ...]) -> list[Any]:
+    """Join the lists of a repeated option, without repetitions."""
+    return list(dict.fromkeys(item for value in values for item in value))
+
+
+def list_option(*names: str, item: Any, metavar: str, default: str, help: str) -> Any:
+    """Return an option that may be repeated and takes comma-separated lists."""
+    return click.option(
+        *names, type=ListOf(metavar, item), metavar=metavar, multiple=True, default=[default], show_default=True,
+        callback=merged, help=help,
+    )  # fmt: skip
+
+
+def threads_option() -> Any:
+    """Return the option for the number of threads."""
+    return click.option(
+        "--threads", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all processors",
+        help="Threads to use; the results do not depend on it.",
+    )  # fmt: skip

@@ -1,0 +1,138 @@
+"""Compiling every kernel ahead of its first use, by doing each command's work on a tiny scene; two processes share it."""
+
+import gc
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cachesim.config import CacheConfig
+from cachesim.layout import addresses
+from cachesim.replay import replay
+from cachesim.sampling.estimate import Target, estimate
+from cachesim.sweep import sweep
+from nptrace_base import compiling
+from rtrace.checks.embree import compare
+from rtrace.ray_source import RayUnits
+from rtrace.render import Shooting, render
+from rtrace.scenes.scene import Scene
+from rtrace.scenes.stand_ins import stand_in
+from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF, Tree, node_table
+from rtrace.trees.tree_cache import TREES, build_tree
+from traces.din import export_din
+from traces.reader import open_run
+
+
+def compile_all() -> int:
+    """Compile every kernel of the commands that is not in the cache; return how many were compiled."""
+    # Numba's global lock lets threads compile only one after another. A fork may inherit locks that other threads hold.
+    # In sessions of their own, Ctrl-C reaches this process alone.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    children = [
+        subprocess.Popen(
+            [sys.executable, "-P", "-c", f"import precompile; precompile.compile_part({part})"], env=environment, text=True,
+            stdout=subprocess.PIPE, start_new_session=True,
+        )
+        for part in range(len(PARTS))
+    ]  # fmt: skip
+    try:
+        printed = [child.communicate()[0] for child in children]
+    except BaseException:
+        _end(children)
+        raise
+    if any(child.returncode for child in children):
+        raise RuntimeError("compiling failed, as printed above")
+    total = 0
+    for n_compiled, lost in map(json.loads, printed):
+        total += n_compiled
+        for what, sentence in lost.items():
+            compiling.lose(what, sentence)
+    return total
+
+
+def _end(children: Sequence[subprocess.Popen[str]]) -> None:
+    """End processes: let them delete what is half written, but not for long."""
+    for child in children:
+        child.terminate()
+    for child in children:
+        try:
+            child.wait(2)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+
+def compile_part(part: int) -> None:
+    """Compile one of ``PARTS`` in this process; print how many kernels it compiled and what could not be kept, as JSON."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    gc.set_threshold(*compiling.GC_THRESHOLD)
+    PARTS[part]()
+    print(json.dumps([compiling.n_compiled, compiling.lost]))
+
+
+def building_and_sweeping() -> None:
+    """Run the kernels of the builders, of layouts and of sweeps."""
+    scene = stand_in("blob", detail=0.1)
+    for kind in TREES:
+        tree = build_tree(scene.triangles, kind)
+        nodes = node_table(tree)
+        for layout in ("bfs", "dfs", "veb", "treelet:256"):
+            addresses(nodes, tree.nodes.itemsize, layout)
+    build_tree(scene.triangles, "bvh", builder="binned")
+    with tempfile.TemporaryDirectory() as name:
+        trace = Path(name) / "reads.din"
+        trace.write_text("0 1000\n0 1020\n")
+        sweep(trace, [CacheConfig(512, ways, 16) for ways in (1, 2, 32)], threads=1)
+
+
+def tracing_and_replaying() -> None:
+    """Run all other kernels."""
+    scene = stand_in("blob", detail=0.1)
+    trees = [_smallest_tree(scene, kind) for kind in TREES]
+    compare(trees, scene, 16, 16, 100, 1)
+    plain = [CacheConfig(512, ways, 16, policy) for ways in (1, 2, 4) for policy in ("lru", "fifo", "random")]
+    known = [CacheConfig(512, ways, 16, "opt") for ways in (1, 2)]
+    two_lines = [CacheConfig(512, 2, 8)]
+    with tempfile.TemporaryDirectory() as name:
+        for tree in trees:
+            path = Path(name) / tree.kind
+            for batch in (0, 1):
+                render(scene, tree, Shooting(16, 16, batch=batch), path, threads=1)
+            run = open_run(path)
+            for prefetch in ("none", "traced", "stack:once", "next-line:tagged"):
+                replay(run, plain + two_lines, prefetch=prefetch, threads=1)
+                replay(run, plain, prefetch=prefetch, is_filtered=False, three_c=True, threads=1)
+            replay(run, known, threads=1)
+            sweep(run, [CacheConfig(64 * 16, 32, 16)], prefetch="stack", threads=1)
+            for form in ("text", "binary"):
+                export_din(run, path.with_suffix(".din"), fmt=form)
+                replay(path.with_suffix(".din"), plain + two_lines, threads=1)
+    for tree in trees:
+        source = RayUnits(scene, tree, Shooting(64, 64))
+        estimate(source, [CacheConfig(512, 2, 16)], Target(0.2, 0.01), exact_below=0.0, threads=1)
+
+
+#: Together they reach every kernel; about as long as each other.
+PARTS = building_and_sweeping, tracing_and_replaying
+
+
+def _smallest_tree(scene: Scene, kind: str) -> Tree:
+    """Return a root over two leaves of all triangles: made by hand, so that no builder has to be compiled for it."""
+    n = len(scene.triangles)
+    nodes = np.zeros(3, KD_NODE if kind == "kdtree" else BVH_NODE)
+    nodes["meta"] = 0, n << 2 | LEAF, n << 2 | LEAF
+    if kind == "kdtree":
+        nodes["first"] = 0, 0, n
+        nodes["split"][0], nodes["meta"][0] = scene.bounds[:, 0].mean(), 1 << 2
+    else:
+        nodes["lower"], nodes["upper"] = scene.bounds
+        nodes["child"] = 1, 0, n
+    prims = np.concatenate([np.arange(n, dtype=np.int32)] * 2)
+    corners, params = np.take(scene.triangles, prims, axis=0), {"builder": "by hand"}
+    return Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, scene.bounds, 1, params)

@@ -1,0 +1,88 @@
+"""Options that choose scenes, trees and rays, shared by the commands that trace."""
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nptrace.groups import BadInput
+from nptrace.options import threads_option
+
+if TYPE_CHECKING:
+    from rtrace.scenes.scene import Scene
+
+
+def scene_options(command: Any) -> Any:
+    """Add the options that say how scenes are found."""
+    for option in (
+        click.option("--offline", is_flag=True, help="Never download a scene."),
+        click.option("--strict", is_flag=True, help="Refuse a mesh with bad triangles instead of leaving them out."),
+    ):
+        command = option(command)
+    return command
+
+
+def load_scenes(names: Sequence[str], strict: bool, offline: bool) -> "list[Scene]":
+    """Load scenes by name or file; say on stderr what a user should know about each."""
+    from rtrace.scenes.catalog import load_scene
+    from rtrace.scenes.scene import dropped_sentence
+
+    scenes = []
+    for name in names:
+        scene = load_scene(name, strict=strict, download=not offline, notify=lambda text: click.echo(text, err=True))
+        for sentence in (dropped_sentence(scene), *scene.notes):
+            if sentence:
+                click.echo(sentence, err=True)
+        scenes.append(scene)
+    return scenes
+
+
+def check_run_names(names: Sequence[str], n_scenes: int) -> None:
+    """Raise BadInput unless each name, one per scene or none at all, can be that of a folder among the runs."""
+    if names and len(names) != n_scenes:
+        raise BadInput(f"there are {len(names)} --name for {n_scenes} SCENE; give as many, in the same order")
+    for name in names:
+        if not re.fullmatch(r"[\w][\w.-]*", name):
+            raise BadInput(f"--name: {name!r} is no name for a run; take letters, digits, _ . and -, the first no . or -")
+
+
+#: Parameters of the kd-tree builder that a user may set, and the type of each.
+KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int}
+
+
+def parse_kd(text: str) -> dict[str, Any]:
+    """Return the builder's parameters that ``text`` sets: ``coarse`` or NAME=VALUE, parted by commas."""
+    params: dict[str, Any] = {}
+    for part in filter(None, text.split(",")):
+        name, equals, value = ("max_level", "=", "16") if part == "coarse" else part.partition("=")
+        if not equals or name not in KD_PARAMS:
+            raise BadInput(f"--kd: {part!r} is not coarse or NAME=VALUE with a name of {', '.join(KD_PARAMS)}")
+        try:
+            params[name] = KD_PARAMS[name](value)
+        except ValueError:
+            raise BadInput(f"--kd: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
+    return params
+
+
+def picture_options(command: Any) -> Any:
+    """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace what they need."""
+    orders = ["scanline", "tile", "morton", "hilbert", "random"]
+    for option in reversed((
+        click.option("--pixels", default="2048x2048", show_default=True, metavar="WxH", help="Size of the picture."),
+        click.option("--camera", metavar="TEXT", help="As in nptrace render."),
+        click.option("--light", metavar="X,Y,Z", help="As in nptrace render."),
+        click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help="As in render."),
+        click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help="As in nptrace render."),
+        click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help="As in nptrace render."),
+        click.option("--bvh", "bvh_builder", type=click.Choice(["sweep", "binned"]), default="sweep", show_default=True),
+        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sample and a random order."),
+        click.option(
+            "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",
+            help="Runs of up to N predicted accesses are counted exactly at once.",
+        ),
+        threads_option(),
+        scene_options,
+    )):  # fmt: skip
+        command = option(command)
+    return command

@@ -1,0 +1,31 @@
+"""Options that choose what is replayed, shared by the commands of npcache."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nptrace.groups import BadInput
+
+PREFETCH_HELP = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
+
+
+LAYOUT_HELP = "Where nodes lie: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
+
+
+def default_sources(folder: Path) -> list[Path]:
+    """Return the runs in a folder, at least one."""
+    from traces.reader import find_runs
+
+    found = find_runs(folder)
+    if not found:
+        raise BadInput(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a .din file")
+    return found
+
+
+def traces_option() -> Any:
+    """Return the option for the folder with the runs."""
+    return click.option(
+        "--traces", "folder", type=click.Path(path_type=Path), default="traces", show_default=True,
+        help="Folder with the runs."
+    )  # fmt: skip

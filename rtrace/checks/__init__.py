@@ -1,0 +1,1 @@
+"""Checks of the traversal: hard cases, exact answers, Embree."""

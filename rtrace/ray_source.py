@@ -1,0 +1,153 @@
+"""Scene and tree -> the accesses of any stretch of the run, traced on demand into memory: what an estimate samples from.
+
+The positions of a run are its pixels in shooting order; with all primary rays first, twice: once for the primary rays and once
+for the shadow rays. Stretches of positions, joined in order, give the accesses of ``render`` one by one.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from rtrace.camera import pixel_order
+from rtrace.chunk import Chunk, shoot
+from rtrace.render import Shooting, command_of
+from rtrace.scenes.scene import Scene
+from rtrace.trees.tree import Tree, node_table
+from traces.format import PRIMARY, SHADOW
+
+_STRIP = 512  # pixels: eight squares of 8 x 8, one strip of Manta's tile
+_LEAST_UNITS = 128  # of a picture with few rows
+_LEAST_UNIT = 256  # pixels of a unit of a narrow picture: fewer cost as much again to warm up
+_SCOUT_SIDE, _SCOUT_STEPS = 128, (8, 32)  # scout rays along a side, and pixels between two of them
+_LEAST_GROUP = 32  # scout rays of a group
+
+
+class Stretch(NamedTuple):
+    """Accesses in the order of the run, and how many rays made them."""
+
+    nodes: np.ndarray  # (n,) uint32
+    kinds: np.ndarray  # (n,) uint8
+    n_rays: int
+
+
+class RayUnits:
+    """The run of one scene, tree and shooting, of which any stretch can be traced.
+
+    Attributes
+    ----------
+    name : str
+        As ``render`` names the run, with ``(stand-in)`` when the scene is one.
+    n_positions : int
+    key : str
+        The command that makes the run, and the scene: all that decides its accesses.
+    unit, row : int
+        Positions to sample together, and positions after which the neighbours of a position come again.
+    grain : int
+        A stretch starts and ends at multiples of it: a batch of primary rays is never cut.
+    node_bytes : int
+    nodes : dict
+        Columns ``parent``, ``level``, ``n_prims`` of the tree's nodes, as in ``nodes.parquet``.
+    """
+
+    def __init__(self, scene: Scene, tree: Tree, shooting: Shooting) -> None:
+        self._tree, self._light, self._shooting = tree, scene.light, shooting
+        self._frame = scene.camera.frame(shooting.width, shooting.height)
+        self._pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
+        self._n_pixels = len(self._pixels)
+        self.name = f"{scene.name}-{tree.kind}" + (" (stand-in)" if scene.stand_in else "")
+        self.key = f"{scene.sha256}\n{command_of(scene, tree, shooting)}"
+        self.unit = unit_of(shooting)
+        self.row = max(shooting.width, self.unit) if shooting.order == "scanline" else self.unit
+        self.n_positions = self._n_pixels * (1 if shooting.batch else 2)
+        self.grain = shooting.batch or 1
+        self.node_bytes = tree.nodes.dtype.itemsize
+        table = node_table(tree)
+        self.nodes: Mapping[str, np.ndarray] = {name: table[name] for name in ("parent", "level", "n_prims")}
+
+    def trace(self, cuts: Sequence[int]) -> list[Stretch]:
+        """Return the accesses of the positions from each of ``cuts`` up to the next; they ascend."""
+        if self._shooting.batch:
+            return _cut(self._chunk(self._pixels[cuts[0] : cuts[-1]], self._shooting.batch, None), cuts)
+        return [self._of_passes(start, stop) for start, stop in pairwise(cuts)]
+
+    def _of_passes(self, start: int, stop: int) -> Stretch:
+        """Return a stretch of a run with all primary rays first."""
+        pieces = [Stretch(np.empty(0, np.uint32), np.empty(0, np.uint8), 0)]
+        for which, first in ((PRIMARY, 0), (SHADOW, self._n_pixels)):
+            low, high = max(start - first, 0), min(stop - first, self._n_pixels)
+            if low < high:
+                pieces.append(_whole(self._chunk(self._pixels[low:high], high - low, which)))
+        nodes, kinds, n_rays = zip(*pieces, strict=True)
+        return Stretch(np.concatenate(nodes), np.concatenate(kinds), sum(n_rays))
+
+    def probe(self, n: int, seed: int) -> float:
+        """Return the mean number of accesses, pre-fetches included, of a position, from ``n`` random pixels."""
+        chosen = np.sort(np.random.default_rng(seed).integers(self._n_pixels, size=n))
+        chunk = self._chunk(self._pixels[chosen], 1, None)
+        return len(chunk.accesses["node"]) / n * self._n_pixels / self.n_positions
+
+    def scout(self, seed: int) -> tuple[np.ndarray, list[Stretch], np.ndarray]:
+        """Return the rays of a lattice of pixels, in groups along the run.
+
+        Returns
+        -------
+        places : (g,) float64
+            Position in the run of the middle of every group, ascending.
+        groups : list of Stretch
+        looked : (k,) int64
+            Positions traced.
+        """
+        width = self._shooting.width
+        step = min(max(max(width, self._shooting.height) // _SCOUT_SIDE, _SCOUT_STEPS[0]), _SCOUT_STEPS[1])
+        x, y = np.random.default_rng([seed, step]).integers(step, size=2)
+        if self._shooting.order == "scanline":
+            at = (np.arange(y, self._shooting.height, step)[:, None] * width + np.arange(x, width, step)).ravel()
+        else:
+            at = np.flatnonzero((self._pixels % width % step == x) & (self._pixels // width % step == y))
+        cuts = [*range(0, len(at), max(-(-width // step), _LEAST_GROUP)), len(at)]
+        places = np.array([at[low:high].mean() for low, high in pairwise(cuts)])
+        pixels = self._pixels[at]
+        if self._shooting.batch:
+            return places, _cut(self._chunk(pixels, 1, None), cuts), at
+        groups = [
+            _whole(self._chunk(pixels[low:high], high - low, which))
+            for which in (PRIMARY, SHADOW)
+            for low, high in pairwise(cuts)
+        ]
+        return np.concatenate([places, places + self._n_pixels]), groups, np.concatenate([at, at + self._n_pixels])
+
+    def _chunk(self, pixels: np.ndarray, batch: int, which: int | None) -> Chunk:
+        return shoot(self._tree, self._frame, self._light, pixels, self._shooting.width, batch, which)
+
+
+def _whole(chunk: Chunk) -> Stretch:
+    return Stretch(chunk.accesses["node"], chunk.accesses["kind"], len(chunk.rays["ray"]))
+
+
+def _cut(chunk: Chunk, cuts: Sequence[int]) -> list[Stretch]:
+    """Cut a chunk at pixels; tracing it at once takes less time than one call for each piece."""
+    nodes, kinds, n_rays = _whole(chunk)
+    # A cut lies before a primary ray; behind the last one there is none.
+    ray_at = np.append(np.flatnonzero(chunk.rays["type"] == PRIMARY), n_rays)[np.subtract(cuts, cuts[0])]
+    row_at = np.append(chunk.rays["first"].astype(np.int64), len(nodes))[ray_at]
+    return [
+        Stretch(nodes[low:high], kinds[low:high], int(last - first))
+        for (low, high), (first, last) in zip(pairwise(row_at), pairwise(ray_at), strict=True)
+    ]
+
+
+def unit_of(shooting: Shooting) -> int:
+    """Return how many pixels in a row of the shooting order an estimate samples together.
+
+    Scanline: a row, because whole rows differ little from their neighbours, while pieces of rows do not add up to anything
+    that does; narrow pictures take several, flat ones are cut into pieces so that there are units to choose from. Other
+    orders: a strip of a tile, or as much of a curve. Measured in docs/speed-error.md.
+    """
+    if shooting.order != "scanline":
+        return _STRIP
+    if shooting.height < _LEAST_UNITS:
+        return -(-shooting.width // -(-_LEAST_UNITS // shooting.height))
+    rows = min(-(-_LEAST_UNIT // shooting.width), shooting.height // _LEAST_UNITS)
+    return rows * shooting.width

@@ -1,0 +1,1 @@
+"""Scenes: mesh files, the catalogue, stand-ins."""

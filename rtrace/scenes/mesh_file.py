@@ -1,0 +1,110 @@
+"""A mesh file -> vertices and triangles exactly as the file has them: order kept, nothing merged, repaired or left out.
+
+The readers are our own, because no other returns what these files have: trimesh, meshio, plyfile and numpy-stl each read a small
+part of the corpus in tests/rtrace/scenes/test_mesh_corpus.py right. mapbox-earcut cuts the ears of polygons.
+"""
+
+import io
+import zlib
+from collections.abc import Callable
+from gzip import BadGzipFile, GzipFile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from nptrace_base.errors import NptraceError
+from rtrace.scenes.meshes.gltf import read_gltf
+from rtrace.scenes.meshes.obj import read_obj
+from rtrace.scenes.meshes.off import read_off
+from rtrace.scenes.meshes.ply import read_ply
+from rtrace.scenes.meshes.polygons import fan, triangulate
+from rtrace.scenes.meshes.raw import MeshError, RawMesh
+from rtrace.scenes.meshes.stl import read_stl
+
+
+class SceneError(NptraceError):
+    """A mesh or scene that cannot be read or rendered; the message has what is wrong and the way out."""
+
+
+#: How each kind of file is read, by suffix; gzip (.obj.gz) is told by content.
+READERS: dict[str, Callable[[bytes, Path], RawMesh]] = {
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".off": read_off,
+}
+MAX_UNPACKED_BYTES = 1 << 32
+_PACKED = {
+    b"PK\3\4": "a zip archive",
+    b"\x28\xb5\x2f\xfd": "packed by zstd",
+    b"BZh": "packed by bzip2",
+    b"\xfd7zXZ": "packed by xz",
+}
+
+
+class Mesh(NamedTuple):
+    """The triangles of a mesh file, not yet checked.
+
+    Attributes
+    ----------
+    vertices : (n_vertices, 3) float32 or float64
+        May hold NaN and infinities.
+    faces : (n_faces, 3) int64
+        Vertex numbers from 0; may be negative or too large.
+    notes : tuple of str
+        What was read otherwise than the file's author may think; clauses about the file.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def read_mesh(path: Path, *, fans: bool = False) -> Mesh:
+    """Read a mesh file of one of the kinds in ``READERS``, chosen by its suffix. Raises SceneError.
+
+    With ``fans`` every polygon becomes a fan of triangles, also where that covers a notch of it.
+    """
+    suffix = Path(path.stem).suffix if path.suffix.lower() == ".gz" else path.suffix
+    reader = READERS.get(suffix.lower())
+    if reader is None:
+        raise SceneError(f"{path}: unknown kind of file {path.suffix!r}; convert the mesh to one of {', '.join(READERS)}")
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise SceneError(f"{path}: no such file; check the spelling") from None
+    except (OSError, ValueError) as error:  # a folder, no permission, a NUL in the name
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError(f"{path}: cannot be read ({reason}); name a file that you may read") from None
+    kind = suffix[1:].upper()
+    try:
+        data = _unpacked(data)
+        if not data.strip():
+            raise MeshError("the file is empty")
+        mesh = reader(data, path)
+        faces, notes = (fan(mesh.lengths, mesh.corners), ()) if fans else triangulate(*mesh[:3])
+    except MeshError as error:
+        raise SceneError(f"{path}: cannot be read as {kind}: {error}; {error.way_out}") from error
+    if not faces.size:
+        raise SceneError(f"{path}: there is no triangle or polygon in this {kind} file; export a surface, not points or lines")
+    return Mesh(mesh.vertices, faces, mesh.notes + notes)
+
+
+def _unpacked(data: bytes) -> bytes:
+    """Return what is in a gzip file, or the data if it is none; other packing is named."""
+    for mark, what in _PACKED.items():
+        if data.startswith(mark):
+            raise MeshError(f"it is {what}", "unpack it")
+    if not data.startswith(b"\x1f\x8b\x08"):
+        return data
+    try:
+        with GzipFile(fileobj=io.BytesIO(data)) as packed:
+            data = packed.read(MAX_UNPACKED_BYTES + 1)
+    except (BadGzipFile, EOFError, zlib.error) as error:
+        raise MeshError(f"it is a damaged or cut off gzip file ({error})", "pack it again") from None
+    if len(data) > MAX_UNPACKED_BYTES:
+        raise MeshError(f"it unpacks to more than {MAX_UNPACKED_BYTES:,} bytes", "unpack it")
+    return data

@@ -1,0 +1,165 @@
+"""What is rendered: mesh file or triangles -> Scene, checked, with a camera and a light."""
+
+import hashlib
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from rtrace.camera import Camera, Point, fit_camera, fit_light
+from rtrace.scenes.float32_check import Precision, measure
+from rtrace.scenes.float32_check import notes as float32_notes
+from rtrace.scenes.mesh_file import SceneError as SceneError
+from rtrace.scenes.mesh_file import read_mesh
+
+_N_FIRST = 5  # so many numbers of dropped triangles are named
+
+
+class Dropped(NamedTuple):
+    """Triangles left out for one reason: how many, and the numbers (in the file, from 0) of the first ones."""
+
+    reason: str
+    n: int
+    first: tuple[int, ...]
+
+
+class Scene(NamedTuple):
+    """Triangles with a camera and a light; nothing here changes after it was made.
+
+    Attributes
+    ----------
+    name : str
+        Fit for a file name; ``label`` is the form to print.
+    triangles : (n, 3, 3) float32
+        C-contiguous, all finite, n >= 1, in the order of the file.
+    bounds : (2, 3) float32
+        Lower and upper corner of the box of all triangles.
+    camera : Camera
+    light : 3 floats
+        Place of the point light.
+    source : str
+        The file, or where else the triangles come from.
+    sha256 : str
+        Of the bytes of ``triangles``, little-endian.
+    dropped : tuple of Dropped
+        Triangles of the file that are not here.
+    stand_in : bool
+        Made up here, in place of a scene that was not found.
+    notes : tuple of str
+        What a reader of the results should know; one sentence each.
+    precision : Precision
+        Whether float32 carries the scene, as it was before its vertices were rounded.
+    """
+
+    name: str
+    triangles: np.ndarray
+    bounds: np.ndarray
+    camera: Camera
+    light: Point
+    source: str
+    sha256: str
+    dropped: tuple[Dropped, ...] = ()
+    stand_in: bool = False
+    notes: tuple[str, ...] = ()
+    precision: Precision | None = None
+
+    @property
+    def label(self) -> str:
+        """The name as it is printed beside results."""
+        return f"{self.name} (stand-in)" if self.stand_in else self.name
+
+
+def load_mesh(path: str | Path, *, strict: bool = False, fans: bool = False) -> Scene:
+    """Return the scene in a mesh file (OBJ, PLY, STL, GLB, glTF, OFF) with a camera and a light fitted to it, +y up.
+
+    All objects of the file are merged, each moved to its place; materials, textures and normals are not read. Convex polygons
+    become fans of triangles, and so do all others with ``fans``; without it they are cut so that no notch is covered. Vertices
+    that no triangle uses play no part.
+
+    Triangles with NaN or infinite vertices (also those that float32 cannot hold) and with vertex numbers out of range are
+    dropped and counted in ``Scene.dropped``. SceneError if nothing is left, if any is dropped and ``strict``, or if the file
+    cannot be read.
+    """
+    path = Path(path)
+    vertices, faces, notes = read_mesh(path, fans=fans)
+    stray = np.any((faces < 0) | (faces >= len(vertices)), axis=1)
+    if stray.all():
+        triangles = np.zeros((len(faces), 3, 3), np.float32)
+    else:
+        triangles = vertices[np.where(stray[:, None], 0, faces) if stray.any() else faces]
+    stem = path.stem.removesuffix(Path(path.stem).suffix) if path.suffix.lower() == ".gz" else path.stem
+    name = re.sub(r"[^\w.-]+", "-", stem).strip(".-") or "scene"
+    said = tuple(f"{path.name}: {note}" for note in notes)
+    return scene_from_triangles(triangles, name, source=path.name, strict=strict, stray=stray, notes=said)
+
+
+def scene_from_triangles(
+    triangles: np.ndarray,
+    name: str,
+    *,
+    camera: Camera | None = None,
+    light: Point | None = None,
+    source: str = "triangles",
+    strict: bool = False,
+    stray: np.ndarray | None = None,
+    stand_in: bool = False,
+    notes: tuple[str, ...] = (),
+) -> Scene:
+    """Return a scene of ``triangles``, (n, 3, 3) of any float type, without those that are no triangles.
+
+    ``stray``, (n,) bool, marks triangles whose vertex numbers were out of range. A camera and a light are fitted if None.
+    Raises SceneError as ``load_mesh`` does.
+    """
+    given = np.asarray(triangles)
+    with np.errstate(over="ignore", invalid="ignore"):
+        triangles = np.ascontiguousarray(given, np.float32)
+    if triangles.ndim != 3 or triangles.shape[1:] != (3, 3):
+        raise SceneError(f"{source}: triangles have the shape {triangles.shape}, must be (n, 3, 3)")
+    n = len(triangles)
+    if stray is None:
+        stray = np.zeros(n, bool)
+    endless = ~np.isfinite(triangles.reshape(n, 9)).all(axis=1) & ~stray
+    dropped = _dropped("with NaN or infinite vertices", endless) + _dropped("with vertex numbers out of range", stray)
+    if dropped:
+        if strict:
+            raise SceneError(f"{_dropped_text(source, dropped, n)}; repair the mesh, or leave out --strict to use the rest")
+        triangles, given = triangles[~(endless | stray)], given[~(endless | stray)]
+    if not len(triangles):
+        what = _dropped_text(source, dropped, n) if dropped else f"{source}: no triangle"
+        raise SceneError(f"{what}; nothing is left to render, repair the mesh")
+    carried = measure(given)
+    bounds = np.stack([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))])
+    camera = camera or fit_camera(bounds)
+    sha256 = hashlib.sha256(np.ascontiguousarray(triangles, "<f4").data).hexdigest()
+    notes += float32_notes(carried)
+    light = light or fit_light(camera, bounds)
+    return Scene(name, triangles, bounds, camera, light, source, sha256, dropped, stand_in, notes, carried)
+
+
+def seen_from(scene: Scene, camera: Camera | None, light: Point | None) -> Scene:
+    """Return the scene with another camera or light; a light that was fitted to the camera is fitted to the new one."""
+    if camera is not None and light is None and scene.light == fit_light(scene.camera, scene.bounds):
+        light = fit_light(camera, scene.bounds)
+    return scene._replace(camera=camera or scene.camera, light=light or scene.light)
+
+
+def dropped_sentence(scene: Scene) -> str | None:
+    """Return what a user is told about dropped triangles, or None if there are none."""
+    if not scene.dropped:
+        return None
+    n_all = len(scene.triangles) + sum(d.n for d in scene.dropped)
+    return _dropped_text(scene.source, scene.dropped, n_all) + "; the others are used"
+
+
+def _dropped(reason: str, mask: np.ndarray) -> tuple[Dropped, ...]:
+    count = int(np.count_nonzero(mask))
+    return (Dropped(reason, count, tuple(np.flatnonzero(mask)[:_N_FIRST].tolist())),) if count else ()
+
+
+def _dropped_text(source: str, dropped: tuple[Dropped, ...], n_all: int) -> str:
+    parts = []
+    for reason, count, first in dropped:
+        more = ", ..." if count > len(first) else ""
+        parts.append(f"{count} {reason} (number {', '.join(map(str, first))}{more})")
+    return f"{source}: {sum(d.n for d in dropped)} of {n_all} triangles cannot be used: {' and '.join(parts)}"

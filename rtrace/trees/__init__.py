@@ -1,0 +1,1 @@
+"""Trees: builders, node layouts, the cache of built trees."""

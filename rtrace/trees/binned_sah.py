@@ -1,0 +1,291 @@
+"""Triangles -> BVH by binned SAH (Wald 2007): a faster build than ``bvh``'s full sweep, for a slightly worse tree.
+
+A node's triangles fall into bins by their centroids, along all three axes in one pass, and the cheapest of the planes between
+bins is taken. Small nodes have few bins: most nodes are small, and sweeping 16 bins for them took most of the build. What is
+partitioned are 32-byte records, a triangle's box and number, not numbers that point to boxes all over memory. Upper corners
+are kept negated, so that a box grows at once: one vector instruction takes the least of each of eight words. All this took a
+third of the time of 16 bins over numbers (0.29 of Embree's build instead of 0.86).
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+
+from nptrace_base.jit import inlined, instructions, kernel
+from rtrace.trees import strays
+from rtrace.trees.tree import LEAF
+
+N_BINS = 16
+FEWEST_BINS, PER_BIN = 4, 20  # bins of a node with n triangles: 4 + n / 20, at most N_BINS
+WORDS = 8  # of a record: lower x, y, z, minus upper x, y, z, number, unused; and of a box, whose last two mean nothing
+
+INF, NOTHING = np.float32(np.inf), np.float32(0.0)
+ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT = (np.uint64(k) for k in range(9))
+TWENTY_FOUR = np.uint64(3 * WORDS)
+
+
+def _on_eight_words(combine: Any, twin: Any) -> Any:
+    """Return a kernel's function that writes ``combine(held, new)`` of two boxes over the first; ``twin`` is NumPy's."""
+
+    def function(typing_context: Any, boxes: Any, box: Any, others: Any, other: Any) -> Any:
+        signature = types.void(boxes, types.uint64, others, types.uint64)
+
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            vector = ir.VectorType(ir.FloatType(), WORDS)
+            places = []
+            for array, number in ((0, 1), (2, 3)):
+                data = context.make_array(signature.args[array])(context, builder, args[array]).data
+                at = builder.mul(args[number], ir.Constant(ir.IntType(64), WORDS))
+                places.append(builder.bitcast(builder.gep(data, [at]), vector.as_pointer()))
+            held, new = (builder.load(place) for place in places)
+            held.align = new.align = 4
+            builder.store(combine(builder, held, new), places[0]).align = 4
+            return context.get_dummy_value()
+
+        return signature, generate
+
+    def plain(boxes: Any, box: Any, others: Any, other: Any) -> None:
+        # As bits, so that a number among the words stays what it is.
+        held, new = (array[WORDS * int(at) : WORDS * (int(at) + 1)] for array, at in ((boxes, box), (others, other)))
+        held.view(np.uint32)[:] = twin(held, new).view(np.uint32)
+
+    return instructions(plain)(function)
+
+
+def _least(builder: Any, held: Any, new: Any) -> Any:
+    # Not a comparison and a choice: LLVM makes a masked store of these, and the build took 1.5 times the time.
+    name = f"llvm.minnum.v{WORDS}f32"
+    function = builder.module.globals.get(name)
+    if function is None:
+        function = ir.Function(builder.module, ir.FunctionType(held.type, [held.type, held.type]), name)
+    return builder.call(function, [held, new], fastmath=("nnan",))
+
+
+# In LLVM's own instructions, because Numba's loops over so few words do not become vectors. All or nothing: a vector read from
+# places that were just written one by one waits until the processor has put them together.
+#: ``grow(boxes, i, others, j)``: let box i hold box j of others.
+grow = _on_eight_words(_least, np.fmin)
+#: ``copy(boxes, i, others, j)``: let box or record i be j of others.
+copy = _on_eight_words(lambda builder, held, new: new, lambda held, new: new)
+
+
+@inlined
+def _area(boxes, box):
+    """Half the surface of a box; float64, so that no scene is too small or too large."""
+    b = box * EIGHT
+    dx = -np.float64(boxes[b + THREE]) - boxes[b]
+    dy = -np.float64(boxes[b + FOUR]) - boxes[b + ONE]
+    dz = -np.float64(boxes[b + FIVE]) - boxes[b + TWO]
+    return dx * dy + dy * dz + dz * dx
+
+
+@inlined
+def _centroid(records, record, axis):
+    """Return twice the centre of a record's box along an axis; in float64 the sum of two float32 does not overflow."""
+    b = record * EIGHT + axis
+    return np.float64(records[b]) - records[b + THREE]
+
+
+@inlined
+def _bin_of(centroid, least, scale, n_bins):
+    place = np.uint64((centroid - least) * scale)
+    return place if place < n_bins else n_bins - ONE
+
+
+@kernel
+def _centroid_bounds(records, start, end, least, scale, n_bins):
+    """Write the least centroid per axis, and how many bins a unit of length spans; 0 if all coincide."""
+    x0 = x1 = _centroid(records, start, ZERO)
+    y0 = y1 = _centroid(records, start, ONE)
+    z0 = z1 = _centroid(records, start, TWO)
+    for i in range(start + ONE, end):
+        x, y, z = _centroid(records, i, ZERO), _centroid(records, i, ONE), _centroid(records, i, TWO)
+        x0, x1 = x if x < x0 else x0, x if x > x1 else x1
+        y0, y1 = y if y < y0 else y0, y if y > y1 else y1
+        z0, z1 = z if z < z0 else z0, z if z > z1 else z1
+    least[0], least[1], least[2] = x0, y0, z0
+    scale[0], scale[1], scale[2] = x1 - x0, y1 - y0, z1 - z0
+    for k in range(3):
+        scale[k] = n_bins / scale[k]
+        if not scale[k] < np.inf:
+            scale[k] = 0.0
+
+
+@kernel
+def _fill_bins(records, start, end, least, scale, n_bins, bins, counts, empty):
+    """Put each triangle into its bin along x, y and z; bin j of axis k is box 3 j + k."""
+    for b in range(THREE * n_bins):
+        copy(bins, b, empty, ZERO)
+        counts[b] = 0
+    least_x, least_y, least_z = least[0], least[1], least[2]
+    scale_x, scale_y, scale_z = scale[0], scale[1], scale[2]
+    for i in range(start, end):
+        j = _bin_of(_centroid(records, i, ZERO), least_x, scale_x, n_bins) * THREE
+        grow(bins, j, records, i)
+        counts[j] += 1
+        j = _bin_of(_centroid(records, i, ONE), least_y, scale_y, n_bins) * THREE + ONE
+        grow(bins, j, records, i)
+        counts[j] += 1
+        j = _bin_of(_centroid(records, i, TWO), least_z, scale_z, n_bins) * THREE + TWO
+        grow(bins, j, records, i)
+        counts[j] += 1
+
+
+@kernel
+def _cheapest_plane(bins, counts, n_bins, count, side, right_area, empty):
+    """Return (cost, axis, first bin on the right) of the cheapest plane between bins, 0 for none; the first of equals."""
+    best, axis, cut = np.inf, ZERO, ZERO
+    for k in range(THREE):
+        copy(side, ZERO, empty, ZERO)
+        for back in range(ONE, n_bins):
+            j = n_bins - back
+            grow(side, ZERO, bins, j * THREE + k)
+            right_area[j] = _area(side, ZERO)
+        copy(side, ZERO, empty, ZERO)
+        n_left = 0
+        for j in range(n_bins - ONE):
+            n_left += counts[j * THREE + k]
+            grow(side, ZERO, bins, j * THREE + k)
+            if n_left == 0 or n_left == count:
+                continue
+            cost = _area(side, ZERO) * n_left + right_area[j + ONE] * (count - n_left)
+            if cost < best:
+                best, axis, cut = cost, k, j + ONE
+    return best, axis, cut
+
+
+@inlined
+def _exchange(records, i, j, spare):
+    copy(spare, ZERO, records, i)
+    copy(records, i, records, j)
+    copy(records, j, spare, ZERO)
+
+
+@kernel
+def _partition(records, start, end, axis, least, scale, n_bins, cut, spare):
+    """Exchange records until those of bins below ``cut`` come first; return where the others begin."""
+    low, high = start, end - ONE  # neither side is empty, so no count goes below 0
+    while True:
+        while low <= high and _bin_of(_centroid(records, low, axis), least, scale, n_bins) < cut:
+            low += ONE
+        while low <= high and _bin_of(_centroid(records, high, axis), least, scale, n_bins) >= cut:
+            high -= ONE
+        if low >= high:
+            return low
+        _exchange(records, low, high, spare)
+        low += ONE
+        high -= ONE
+
+
+@kernel
+def make_records(triangles, records, numbers, box):
+    """Write the record of every triangle (flat, nine coordinates each), and the box of all into eight words."""
+    box[:] = INF
+    for i in range(np.uint64(triangles.size // 9)):
+        a, b = i * np.uint64(9), i * EIGHT
+        for k in range(THREE):
+            p, q, r = triangles[a + k], triangles[a + THREE + k], triangles[a + SIX + k]
+            low, high = (p, q) if p < q else (q, p)
+            # Added to 0, because -0 has no place in a least of several numbers: which zero it is would be left to the machine.
+            records[b + k], records[b + THREE + k] = NOTHING + (r if r < low else low), NOTHING - (r if r > high else high)
+        numbers[b + SIX], numbers[b + SEVEN] = i, ZERO
+        grow(box, ZERO, records, i)
+
+
+def make_room(triangles, records, box):
+    """Return the ``strays.Extent`` of some triangles, make the boxes of strays larger in their records, and ``box``."""
+    bounds = np.stack((NOTHING + box[:3], NOTHING - box[3:6]))
+    if strays.find_limit(triangles, bounds) == np.inf:
+        return strays.Extent(bounds, bounds, np.inf, np.empty(0, np.int64))
+    boxes = records.reshape(-1, WORDS)
+    lower, upper = boxes[:, :3].copy(), NOTHING - boxes[:, 3:6]
+    extent = strays.make_room(triangles, lower, upper)
+    boxes[:, :3], boxes[:, 3:6] = lower, NOTHING - upper
+    box[:3], box[3:6] = extent.bounds[0], NOTHING - extent.bounds[1]
+    return extent
+
+
+@kernel
+def _part_pair(records, first, spare):
+    """Put a pair in order along the first axis on which their centroids differ; return that axis, 3 for none.
+
+    The bins would part it there too: all such axes give the same two boxes and so the same cost.
+    """
+    for k in range(THREE):
+        a, b = _centroid(records, first, k), _centroid(records, first + ONE, k)
+        if FEWEST_BINS / abs(a - b) < np.inf:
+            if a > b:
+                _exchange(records, first, first + ONE, spare)
+            return k
+    return THREE
+
+
+@kernel
+def _write_box(nodes, node, boxes, box):
+    for k in range(THREE):
+        nodes[node * EIGHT + k] = boxes[box * EIGHT + k]
+        nodes[node * EIGHT + THREE + k] = NOTHING - boxes[box * EIGHT + THREE + k]
+
+
+@kernel
+def build_binned(records, numbers, box, nodes, words, prims):
+    """Fill nodes (flat float32 and uint32 views) and prims depth-first; return (number of nodes, deepest level).
+
+    ``records``, ``numbers`` (the same as uint32) and ``box`` are what ``make_records`` wrote. Triangles of a leaf are in any
+    order.
+    """
+    bins, sides = np.empty(3 * WORDS * N_BINS, np.float32), np.empty(2 * WORDS, np.float32)
+    empty, spare = np.full(WORDS, INF), np.empty(WORDS, np.float32)
+    counts, right_area = np.empty(3 * N_BINS, np.int64), np.empty(N_BINS, np.float64)
+    least, scale = np.empty(3, np.float64), np.empty(3, np.float64)
+    todo = np.empty(4 * (prims.size + 1), np.uint64)  # node, start, end, level
+    area_of = np.empty(prims.size + 1, np.float64)  # of each entry
+    todo[0], todo[1], todo[2], todo[3] = ZERO, ZERO, np.uint64(prims.size), ZERO
+    area_of[0] = _area(box, ZERO)
+    _write_box(nodes, ZERO, box, ZERO)
+    n_todo, n_nodes, max_level = ONE, ONE, ZERO
+    while n_todo > ZERO:
+        n_todo -= ONE
+        d = n_todo * FOUR
+        node, start, end, level = todo[d], todo[d + ONE], todo[d + TWO], todo[d + THREE]
+        max_level = max(max_level, level)
+        w, count, area = node * EIGHT, end - start, area_of[n_todo]
+        cost, axis, cut, n_bins = np.inf, ZERO, ZERO, ZERO
+        if count == TWO:
+            axis = _part_pair(records, start, spare)
+            if axis != THREE:
+                cost = _area(records, start) + _area(records, start + ONE)
+        elif count > TWO:
+            n_bins = min(np.uint64(N_BINS), np.uint64(FEWEST_BINS) + count // np.uint64(PER_BIN))
+            _centroid_bounds(records, start, end, least, scale, n_bins)
+            _fill_bins(records, start, end, least, scale, n_bins, bins, counts, empty)
+            cost, axis, cut = _cheapest_plane(bins, counts, n_bins, np.int64(count), sides, right_area, empty)
+        # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
+        # cost of "no split", times nothing, is no split either.)
+        if not area + cost < area * count:
+            for i in range(start, end):
+                prims[i] = numbers[i * EIGHT + SIX]
+            words[w + SIX], words[w + SEVEN] = start, count << TWO | np.uint64(LEAF)
+            continue
+        copy(sides, ZERO, empty, ZERO)
+        copy(sides, ONE, empty, ZERO)
+        position = start + ONE
+        if count == TWO:
+            grow(sides, ZERO, records, start)
+            grow(sides, ONE, records, position)
+        else:
+            position = _partition(records, start, end, axis, least[axis], scale[axis], n_bins, cut, spare)
+            for j in range(n_bins):
+                grow(sides, ZERO if j < cut else ONE, bins, j * THREE + axis)
+        words[w + SIX], words[w + SEVEN] = n_nodes, axis
+        for side in range(TWO):  # the right one waits below the left one
+            _write_box(nodes, n_nodes + side, sides, side)
+        todo[d], todo[d + ONE], todo[d + TWO], todo[d + THREE] = n_nodes + ONE, position, end, level + ONE
+        d += FOUR
+        todo[d], todo[d + ONE], todo[d + TWO], todo[d + THREE] = n_nodes, start, position, level + ONE
+        area_of[n_todo], area_of[n_todo + ONE] = _area(sides, ONE), _area(sides, ZERO)
+        n_todo += TWO
+        n_nodes += TWO
+    return np.int64(n_nodes), np.int64(max_level)

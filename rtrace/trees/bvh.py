@@ -1,0 +1,198 @@
+"""Triangles -> BVH: full-sweep SAH over sorted centroids (Manta's builder), or binned SAH (``rtrace.trees.binned_sah``).
+
+A split is taken when 1 + (A_left n_left + A_right n_right) / A < n, in units of one triangle test (both costs are 1, as in
+Manta's DynBVH): a leaf only when no split pays. There is no other limit on leaf size or depth.
+"""
+
+import numpy as np
+
+from nptrace_base.errors import NptraceError
+from nptrace_base.jit import kernel
+from rtrace.trees import binned_sah
+from rtrace.trees.merge_sort import sort
+from rtrace.trees.strays import make_room
+from rtrace.trees.tree import BVH_NODE, LEAF, Tree, check_finite, triangle_boxes
+
+
+@kernel
+def _area(x0, y0, z0, x1, y1, z1):
+    """Half the surface of a box; float64, so that no scene is too small or too large."""
+    dx, dy, dz = np.float64(x1) - x0, np.float64(y1) - y0, np.float64(z1) - z0
+    return dx * dy + dy * dz + dz * dx
+
+
+@kernel
+def _sweep_axis(ids, start, end, boxes, right_area):
+    """Return (cost, position) of the cheapest cut of ids[start:end], in the order given, without the node's own terms.
+
+    ``position`` is the first index of the right side; among equal costs the lowest.
+    """
+    x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+    x1, y1, z1 = -x0, -y0, -z0
+    for i in range(end - 1, start, -1):
+        b = 6 * ids[i]
+        x0, y0, z0 = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
+        x1, y1, z1 = max(x1, boxes[b + 3]), max(y1, boxes[b + 4]), max(z1, boxes[b + 5])
+        right_area[i] = _area(x0, y0, z0, x1, y1, z1)
+    x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+    x1, y1, z1 = -x0, -y0, -z0
+    best, position = np.inf, -1
+    for i in range(start, end - 1):
+        b = 6 * ids[i]
+        x0, y0, z0 = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
+        x1, y1, z1 = max(x1, boxes[b + 3]), max(y1, boxes[b + 4]), max(z1, boxes[b + 5])
+        cost = _area(x0, y0, z0, x1, y1, z1) * (i + 1 - start) + right_area[i + 1] * (end - i - 1)
+        if cost < best:
+            best, position = cost, i + 1
+    return best, position
+
+
+@kernel
+def _box_of(ids, start, end, boxes, nodes, node):
+    """Write the box of ids[start:end] into ``node``."""
+    x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
+    x1, y1, z1 = -x0, -y0, -z0
+    for i in range(start, end):
+        b = 6 * ids[i]
+        x0, y0, z0 = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
+        x1, y1, z1 = max(x1, boxes[b + 3]), max(y1, boxes[b + 4]), max(z1, boxes[b + 5])
+    n = 8 * node
+    nodes[n], nodes[n + 1], nodes[n + 2], nodes[n + 3], nodes[n + 4], nodes[n + 5] = x0, y0, z0, x1, y1, z1
+
+
+@kernel
+def _longest_axis(nodes, n):
+    dx, dy, dz = nodes[n + 3] - nodes[n], nodes[n + 4] - nodes[n + 1], nodes[n + 5] - nodes[n + 2]
+    if dx >= dy and dx >= dz:
+        return 0
+    return 1 if dy >= dz else 2
+
+
+@kernel
+def _partition(ids, start, end, goes_right, scratch):
+    """Stable partition of ids[start:end]: those that stay left first."""
+    n_right, at = 0, start
+    for i in range(start, end):
+        if goes_right[ids[i]]:
+            scratch[n_right] = ids[i]
+            n_right += 1
+        else:
+            ids[at] = ids[i]
+            at += 1
+    for i in range(n_right):
+        ids[at + i] = scratch[i]
+
+
+@kernel
+def _sort_leaves(words, n_nodes, prims, spare):
+    """Bring the triangles of every leaf into ascending order."""
+    for node in range(n_nodes):
+        if words[8 * node + 7] & 3 == LEAF:
+            start, count = np.int64(words[8 * node + 6]), np.int64(words[8 * node + 7] >> 2)
+            sort(prims[start : start + count], count, spare)
+
+
+@kernel
+def _sweep_split(orders, n, start, end, boxes, right_area, longest):
+    """Return (cost, axis, position) of the cheapest of the three sweeps; a pair is cut along the box's longest axis."""
+    if end - start == 2:
+        cost, position = _sweep_axis(orders[longest * n : (longest + 1) * n], start, end, boxes, right_area)
+        return cost, longest, position
+    best, axis, at = np.inf, 0, -1
+    for k in range(3):
+        cost, position = _sweep_axis(orders[k * n : (k + 1) * n], start, end, boxes, right_area)
+        if cost < best:
+            best, axis, at = cost, k, position
+    return best, axis, at
+
+
+@kernel
+def _build(orders, boxes, nodes, words, prims, n):
+    """Fill nodes (flat float32 and uint32 views) and prims depth-first; return (number of nodes, deepest level).
+
+    ``orders`` holds the triangles sorted by centroid along x, y and z, one after another. Those of a leaf are in any order.
+    """
+    right_area = np.empty(n, np.float64)
+    scratch = np.empty(n, np.int32)
+    goes_right = np.zeros(n, np.uint8)
+    todo = np.empty((n + 1, 4), np.int64)  # node, start, end, level
+    todo[0, 0], todo[0, 1], todo[0, 2], todo[0, 3] = 0, 0, n, 0
+    n_todo, n_nodes, max_level = 1, np.int64(1), 0
+    zero = np.int64(0)
+    _box_of(orders[:n], zero, n, boxes, nodes, zero)
+    while n_todo > 0:
+        n_todo -= 1
+        node, start, end, level = todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3]
+        max_level = max(max_level, level)
+        w, count = 8 * node, end - start
+        area = _area(nodes[w], nodes[w + 1], nodes[w + 2], nodes[w + 3], nodes[w + 4], nodes[w + 5])
+        cost, axis, position = np.inf, 0, -1
+        if count > 1:
+            cost, axis, position = _sweep_split(orders, n, start, end, boxes, right_area, _longest_axis(nodes, w))
+        # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
+        # cost of "no split", times nothing, is no split either.)
+        if not area + cost < area * count:
+            prims[start:end] = orders[start:end]
+            words[w + 6], words[w + 7] = start, count << 2 | LEAF
+            continue
+        order = orders[axis * n : (axis + 1) * n]
+        for i in range(start, end):
+            goes_right[order[i]] = i >= position
+        for k in range(3):
+            if k != axis:
+                _partition(orders[k * n : (k + 1) * n], start, end, goes_right, scratch)
+        words[w + 6], words[w + 7] = n_nodes, axis
+        _box_of(order, start, position, boxes, nodes, n_nodes)
+        _box_of(order, position, end, boxes, nodes, n_nodes + 1)
+        todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes + 1, position, end, level + 1
+        n_todo += 1
+        todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes, start, position, level + 1
+        n_todo += 1
+        n_nodes += 2
+    return n_nodes, max_level
+
+
+def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
+    """Build a BVH.
+
+    Parameters
+    ----------
+    triangles : (n, 3, 3) float32
+        Finite; n from 1 to 2^29.
+    builder : {"sweep", "binned"}
+        Exact SAH over all centroid orders, or the cheapest plane between up to 16 bins per axis (``rtrace.trees.binned_sah``).
+
+    Raises
+    ------
+    ValueError
+        Another shape or dtype, a coordinate that is NaN or infinite, or an unknown builder.
+
+    Notes
+    -----
+    Manta's DynBVH (2012): costs 1 and 1, a pair is split along the longest axis, leaves list ascending numbers.
+    """
+    if triangles.dtype != np.float32 or triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not len(triangles):
+        raise NptraceError(f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}")
+    check_finite(triangles)
+    n = len(triangles)
+    triangles = np.ascontiguousarray(triangles)
+    nodes, prims = np.zeros(2 * n, BVH_NODE), np.empty(n, np.int32)
+    flat, words = nodes.view(np.float32), nodes.view(np.uint32)
+    if builder == "sweep":
+        boxes = np.concatenate(triangle_boxes(triangles), axis=1)
+        extent = make_room(triangles, boxes[:, :3], boxes[:, 3:])
+        # Twice the centre of the box, in float64: the sum of two float32 does not overflow there.
+        centroids = boxes[:, :3].astype(np.float64) + boxes[:, 3:]
+        orders = np.concatenate([np.argsort(centroids[:, k], kind="stable") for k in range(3)]).astype(np.int32)
+        n_nodes, max_level = _build(orders, boxes.reshape(-1), flat, words, prims, n)
+    elif builder == "binned":
+        records, box = np.empty(binned_sah.WORDS * n, np.float32), np.empty(binned_sah.WORDS, np.float32)
+        binned_sah.make_records(triangles.reshape(-1), records, records.view(np.uint32), box)
+        extent = binned_sah.make_room(triangles, records, box)
+        n_nodes, max_level = binned_sah.build_binned(records, records.view(np.uint32), box, flat, words, prims)
+    else:
+        raise NptraceError(f"builder must be 'sweep' or 'binned', got {builder!r}")
+    nodes = nodes[:n_nodes].copy()
+    _sort_leaves(words, n_nodes, prims, np.empty(n, np.int32))
+    corners = np.take(triangles, prims, axis=0)  # a third of the time of triangles[prims]
+    return Tree("bvh", nodes, prims, corners, triangles, extent.bounds, extent.core, int(max_level), {"builder": builder})

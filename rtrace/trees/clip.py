@@ -1,0 +1,173 @@
+"""Perfect splits: a triangle and a cell -> the bounds of the triangle's part on either side of a plane through the cell.
+
+Positions go in and come out as *ranks*: the float32 as an integer of the same order (a float32 has a sign and a
+magnitude, a rank is plus or minus that magnitude). So -0.0 and +0.0 are one rank, the float32 next to x is rank + 1, and
+comparing, sorting and rounding outward are integer arithmetic.
+"""
+
+import numpy as np
+
+from nptrace_base.jit import kernel
+
+# Indices are unsigned: Numba tests a signed one for wrap-around at every access, 7 % of a build.
+ZERO, ONE, THREE, SIX, NINE = (np.uint64(k) for k in (0, 1, 3, 6, 9))
+
+#: Room for a polygon, in numbers. A convex one has 3 vertices and one more per plane that cuts it (6 of them); rounding can
+#: bend a thin one so that a plane cuts it more than twice, which adds half its vertices at most: 3 * 1.5**6 < 36.
+POLYGON = np.uint64(3 * 36)
+
+
+@kernel
+def rank(x):
+    """Return the rank of the float32 x, an int64 in -2**31 < rank < 2**31."""
+    bits = np.int64(np.float32(x).view(np.int32))
+    return bits if bits >= 0 else -2147483648 - bits
+
+
+@kernel
+def value(place):
+    """Return the float32 of this rank, as float64."""
+    bits = place if place >= 0 else -2147483648 - place
+    return np.float64(np.int32(bits).view(np.float32))
+
+
+@kernel
+def _rank_below(x):
+    """Return the rank of the largest float32 that is not above the float64 x."""
+    place = rank(x)
+    return place - 1 if value(place) > x else place
+
+
+@kernel
+def _rank_above(x):
+    """Return the rank of the smallest float32 that is not below the float64 x."""
+    place = rank(x)
+    return place + 1 if value(place) < x else place
+
+
+@kernel
+def _cross(points, a, b, axis, plane, out):
+    """Write to points[out:] where the edge from point a to point b crosses the plane.
+
+    Both triangles at an edge must get the same point, so it is measured from the lower end whatever the direction; this
+    form also keeps a coordinate that both ends share.
+    """
+    if points[a + axis] > plane:
+        a, b = b, a
+    t = (plane - points[a + axis]) / (points[b + axis] - points[a + axis])
+    for k in range(THREE):
+        points[out + k] = points[a + k] + (points[b + k] - points[a + k]) * t
+    points[out + axis] = plane
+
+
+@kernel
+def _cut(points, first, n, axis, plane, side, out):
+    """Write to points[out:] the part below (side -1) or above (+1) the plane of the polygon of n points at ``first``.
+
+    Return how many points it has.
+    """
+    end = out
+    for i in range(n):
+        a = first + THREE * i
+        b = a + THREE if i + ONE < n else first
+        here, there = points[a + axis] - plane, points[b + axis] - plane
+        if here * side >= 0.0:
+            for k in range(THREE):
+                points[end + k] = points[a + k]
+            end += THREE
+        if (here < 0.0 and there > 0.0) or (here > 0.0 and there < 0.0):
+            _cross(points, a, b, axis, plane, end)
+            end += THREE
+    return (end - out) // THREE
+
+
+@kernel
+def _include(points, a, box):
+    """Widen points[box : box + 6], a lower and an upper corner, to hold point a."""
+    for k in range(THREE):
+        x = points[a + k]
+        points[box + k] = min(points[box + k], x)
+        points[box + THREE + k] = max(points[box + THREE + k], x)
+
+
+@kernel
+def _write_bounds(points, box, slack, lo, hi, out, at):
+    """Write the ranks of points[box] and points[box + 3], a lower and an upper bound, moved outward, kept inside lo and hi.
+
+    Where nothing is left (by rounding: clipped to another cell, the triangle just reached this one) lo and hi stand.
+    """
+    lower, upper = points[box], points[box + THREE]
+    if lower <= upper:
+        inner_lo, inner_hi = max(lo, _rank_below(lower - slack)), min(hi, _rank_above(upper + slack))
+        if inner_lo <= inner_hi:
+            lo, hi = inner_lo, inner_hi
+    out[at], out[at + THREE] = lo, hi
+
+
+@kernel
+def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, below, above, points, slack=0.0):
+    """Clip one triangle to a cell, cut it at a plane and bound both parts.
+
+    Parameters
+    ----------
+    vertices : (9 n,) float32
+        All triangles.
+    triangle : int
+        Which one.
+    cell : float64 array
+        ``cell[corner : corner + 6]``: the cell, lower, then upper corner.
+    axis, split : int, int
+        The plane; ``split`` is a rank.
+    bounds : int32 array
+        ``bounds[at : at + 6]``: ranks of the lower, then the upper corner of the triangle's bounds in the cell.
+    below, above : int32 arrays
+        Output at the same place: the bounds of the two parts, inside ``bounds`` and on their side of the plane.
+    points : (3 POLYGON,) float64
+        Scratch.
+    slack : float
+        How far around the triangle its part reaches: 0, but for strays (``rtrace.trees.strays``).
+    """
+    corner, axis, at, v = np.uint64(corner), np.uint64(axis), np.uint64(at), NINE * np.uint64(triangle)
+    for k in range(NINE):
+        points[k] = vertices[v + k]
+    n, first, out = THREE, ZERO, POLYGON
+    for k in range(THREE):
+        a, b, c = vertices[v + k], vertices[v + THREE + k], vertices[v + SIX + k]
+        for side in range(-1, 2, 2):
+            plane = cell[corner + k] - slack if side > 0 else cell[corner + THREE + k] + slack
+            if min(a, b, c) < plane if side > 0 else max(a, b, c) > plane:
+                n = _cut(points, first, n, k, plane, side, out)
+                first, out = out, first
+    plane = value(split)
+    lowest, highest = np.inf, -np.inf
+    for i in range(n):
+        x = points[first + THREE * i + axis]
+        lowest, highest = min(lowest, x), max(highest, x)
+    # By rounding a part may have no point on its side: then it has the nearest ones, so that its bounds stay near it.
+    low_plane, high_plane = plane - slack, plane + slack
+    top_of_below, bottom_of_above = max(high_plane, lowest), min(low_plane, highest)
+    crossing = POLYGON + POLYGON
+    in_below, in_above = crossing + THREE, crossing + NINE
+    for k in range(THREE):  # empty boxes
+        points[in_below + k] = points[in_above + k] = np.inf
+        points[in_below + THREE + k] = points[in_above + THREE + k] = -np.inf
+    for i in range(n):
+        a = first + THREE * i
+        b = a + THREE if i + ONE < n else first
+        x, y = points[a + axis], points[b + axis]
+        if x <= top_of_below:
+            _include(points, a, in_below)
+        if x >= bottom_of_above:
+            _include(points, a, in_above)
+        if (x < high_plane and y > high_plane) or (x > high_plane and y < high_plane):
+            _cross(points, a, b, axis, high_plane, crossing)
+            _include(points, crossing, in_below)
+            if slack == 0.0:
+                _include(points, crossing, in_above)
+        if slack > 0.0 and ((x < low_plane and y > low_plane) or (x > low_plane and y < low_plane)):
+            _cross(points, a, b, axis, low_plane, crossing)
+            _include(points, crossing, in_above)
+    for k in range(THREE):
+        lo, hi = np.int64(bounds[at + k]), np.int64(bounds[at + THREE + k])
+        _write_bounds(points, in_below + k, slack, lo, min(hi, split) if k == axis else hi, below, at + k)
+        _write_bounds(points, in_above + k, slack, max(lo, split) if k == axis else lo, hi, above, at + k)

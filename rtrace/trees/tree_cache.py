@@ -1,0 +1,103 @@
+"""Trees kept in the user's cache: a scene and builder parameters -> the tree, built once.
+
+A file is named by a hash of all that decides the tree: the triangles, the kind, the parameters and the builders' sources.
+It appears whole (written under another name and renamed), so two processes at once do no harm; a file that cannot be read
+is built again. Only a folder that nobody else may write to is used, because kernels believe the numbers of a tree. The
+oldest files go when the folder grows beyond ``MAX_BYTES``.
+"""
+
+import hashlib
+import json
+import os
+import zipfile
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from platformdirs import user_cache_path
+
+from nptrace_base import compiling
+from nptrace_base.atomic import replacing
+from nptrace_base.errors import NptraceError
+from nptrace_base.folders import private_folder
+from nptrace_base.jit import versions
+from nptrace_base.sources import ROOT, digest_of
+from rtrace.scenes.scene import Scene
+from rtrace.trees.bvh import build_bvh
+from rtrace.trees.kdtree import build_kdtree
+from rtrace.trees.tree import BVH_NODE, KD_NODE, Tree
+
+TREES = ("kdtree", "bvh")
+MAX_BYTES = 2 << 30
+
+
+def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
+    """Build a ``"kdtree"`` or a ``"bvh"``; parameters as ``build_kdtree`` and ``build_bvh``."""
+    if kind == "kdtree":
+        return build_kdtree(triangles, **params)
+    if kind == "bvh":
+        return build_bvh(triangles, **params)
+    raise NptraceError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
+
+
+def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: Any) -> Tree:
+    """Return the scene's tree, from the cache (``folder``, or the user's) if it was built before; build and keep it otherwise.
+
+    Parameters as ``build_tree``. If the cache cannot be used, the tree is not kept.
+    """
+    folder = folder or user_cache_path("nptrace") / "trees"
+    key = json.dumps([scene.sha256, kind, sorted(params.items()), _builder_digest(), versions()])
+    path = folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
+    try:
+        private_folder(folder)
+    except OSError as e:
+        compiling.not_kept("trees", {folder: e})
+        return build_tree(scene.triangles, kind, **params)
+    try:
+        return _load(path, scene, kind)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        tree = build_tree(scene.triangles, kind, **params)
+    try:
+        _store(path, tree)
+        _forget_oldest(folder)
+    except OSError as e:
+        compiling.not_kept("trees", {folder: e})
+    return tree
+
+
+@cache
+def _builder_digest() -> str:
+    """Return a digest of the sources that decide what a tree is, and how it is kept."""
+    here = ROOT / "rtrace"
+    return digest_of([here / "kdtree.py", here / "bvh.py"]) + hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+
+
+def _load(path: Path, scene: Scene, kind: str) -> Tree:
+    with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:  # the zip has a checksum for each array
+        params = json.loads(bytes(arrays["params"]))
+        nodes = arrays["nodes"].view(KD_NODE if kind == "kdtree" else BVH_NODE)
+        prims, max_level = arrays["prims"], int(arrays["max_level"])
+        bounds, core = arrays["extent"]
+    with suppress(OSError):
+        os.utime(path)  # lately used: not among the oldest
+    corners = np.take(scene.triangles, prims, axis=0)
+    return Tree(kind, nodes, prims, corners, scene.triangles, bounds, core, max_level, params)
+
+
+def _store(path: Path, tree: Tree) -> None:
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        params = np.frombuffer(json.dumps(tree.params).encode(), np.uint8)
+        extent, nodes = np.stack((tree.bounds, tree.core)), tree.nodes.view(np.uint32)
+        np.savez(file, nodes=nodes, prims=tree.prims, extent=extent, max_level=tree.max_level, params=params)
+
+
+def _forget_oldest(folder: Path) -> None:
+    files = sorted((p.stat().st_mtime, p.stat().st_size, p) for p in folder.glob("*.npz"))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in files[:-1]:
+        if total <= MAX_BYTES:
+            break
+        path.unlink(missing_ok=True)
+        total -= size

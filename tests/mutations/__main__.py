@@ -1,0 +1,5 @@
+"""``python -m tests.mutations [WORD] [-o FILE]``."""
+
+from tests.mutations import main
+
+main()

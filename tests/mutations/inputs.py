@@ -1,0 +1,58 @@
+"""Mutations of what reads runs and traces: checks of values, streams, line ends, names."""
+
+# ruff: noqa: E501
+# fmt: off
+
+from tests.mutations.mutation import Mutation
+
+VALUES, STREAMS, DIN = "tests/traces/test_run_values.py", "tests/traces/test_stream.py", "tests/traces/test_din.py"
+CH, RD, ST, DI = "traces/validation.py", "traces/reader.py", "traces/stream.py", "traces/din.py"
+
+MUTATIONS = [
+    # --- values ---
+    Mutation("values: nulls are not seen", CH, "    if column.null_count:", "    if column.null_count < 0:", VALUES),
+    Mutation("values: any kind will do", CH, "kinds[i] > _LAST_KIND or not (allowed[node] >> kinds[i]) & np.uint8(1)", "not (allowed[node] >> (kinds[i] & 3)) & np.uint8(1)", VALUES),
+    Mutation("values: a node one beyond the tree's", CH, "if node >= n or kinds", "if node > n or kinds", "tests/traces/test_run_values.py tests/test_fuzz.py"),
+    Mutation("values: nodes with children may be entered as leaves", CH, "inner, leaf = 1 << READ | 1 << PUSH", "inner, leaf = 1 << READ | 1 << LEAF | 1 << PUSH", VALUES),
+    Mutation("values: a kd-tree's leaf may be missed", CH, 'if tree != "kdtree":', "if tree:", VALUES),
+    Mutation("values: a node may be its own parent", CH, "np.uint64(up) >= i", "np.uint64(up) > i", VALUES),
+    Mutation("values: siblings of two parents", CH, "if parent[i + np.uint64(1)] != up:", "if parent[i + np.uint64(1)] < 0:", VALUES),
+    Mutation("values: two pairs of one parent", CH, "if has_children[above]:", "if has_children[above] and up < 0:", VALUES),
+    Mutation("values: the upper sibling's level is not looked at", CH, "if level[i + np.uint64(1)] != wanted:", "if level[i] != wanted:", VALUES),
+    Mutation("values: the root may have any level", CH, "if level[0] != 0:", "if level[0] < 0:", VALUES),
+    Mutation("values: axis 4 is a leaf's", CH, "if axis[i] > LEAF_AXIS or (axis[i] == LEAF_AXIS) == has_children[i]:", "if (axis[i] >= LEAF_AXIS) == has_children[i]:", VALUES),
+    Mutation("values: triangles in inner nodes", CH, "if has_children[i] and n_prims[i] != 0:", "if has_children[i] and n_prims[i] > 9:", VALUES),
+    Mutation("values: numbers of nodes are not looked at", CH, "if node[i] != i:", "if node[i] != node[i]:", VALUES),
+    Mutation("values: addresses are not looked at", RD, 'self.tree[1] if "address" in columns else None', "None", VALUES),
+    Mutation("values: the tree of a layout as stored is not checked", RD, "            if checked is not None:\n                checked.result()\n\n", "", VALUES),
+    Mutation("values: rows count from the batch", RD, "                row += read.num_rows\n", "", VALUES),
+    Mutation("values: the walk's rows count from the batch", "cachesim/prefetch.py", "        self._n_rows += nodes.size\n", "        self._n_rows += 1\n", "tests/test_fuzz.py tests/traces/test_run_values.py"),
+    Mutation("values: a BVH discards what it popped", "cachesim/prefetch.py", "sp = sp - 1 if is_kd else np.int64(0)", "sp -= 1", "tests/cachesim/test_prefetch.py tests/test_fuzz.py"),
+    Mutation("values: other types are refused", CH, "return inner == wanted or pa.types.is_integer(inner) or pa.types.is_floating(inner)", "return inner == wanted", VALUES),
+    Mutation("values: texts are numbers", CH, "or pa.types.is_floating(inner)\n", "or pa.types.is_floating(inner) or pa.types.is_string(inner)\n", VALUES),
+    Mutation("values: one of two columns is taken", RD, "if len(columns) != 1:", "if not columns:", VALUES),
+    Mutation("values: rays overlap", CH, "first != ends - count", "first > ends", VALUES),
+    Mutation("values: the last ray's accesses are not counted", CH, "if n and int(ends[-1]) != n_accesses:", "if n and int(ends[-1]) > n_accesses:", VALUES),
+    Mutation("values: layouts take two pairs of one parent", "cachesim/layout.py", ".max() > 1:", ".max() > 2:", VALUES),
+    # --- streams ---
+    Mutation("streams: the head is lost", ST, "_HeadFirst(head, self._file)", '_HeadFirst(b"", self._file)', STREAMS),
+    Mutation("streams: pipes are read twice", ST, "if n_passes > 1 and self._start is None:", "if n_passes > 2 and self._start is None:", STREAMS),
+    Mutation("streams: the second pass goes on where the first ended", ST, "                self._file.seek(self._start)\n", "                pass\n", f"{STREAMS} {DIN}"),
+    Mutation("streams: gzip by its name", ST, 'b"\\x1f\\x8b": "gzip"', 'b"\\x1f\\x8c": "gzip"', STREAMS),
+    Mutation("streams: marks of packed files before records", ST, "            if not plain(head):", "            if head:", STREAMS),
+    Mutation("streams: short reads end a chunk", ST, "while missing and (piece := file.read(missing)):", "while missing == n_bytes and (piece := file.read(missing)):", STREAMS),
+    Mutation("streams: a damaged pack is its end", ST, "            if packing:\n                raise", "            if packing:\n                return\n                raise", STREAMS),
+    Mutation("streams: CR is a blank", DI, '.replace(b"\\r", b"\\n")\n', '.replace(b"\\r", b" ")\n', STREAMS),
+    Mutation("streams: CR LF cut by a chunk is two ends", DI, 'chunk, held = chunk[:-1], b"\\r"', "pass", STREAMS),
+    Mutation("streams: UTF-16 without a mark is binary", DI, 'enumerate(("utf-16-le", "utf-16-be"))', "enumerate(())", STREAMS),
+    Mutation("streams: the mark of UTF-8 stays", DI, "chunk.removeprefix(codecs.BOM_UTF8)", "chunk", STREAMS),
+    Mutation("din: records past 2^32 are read", DI, "> np.uint64(1 << 32):", "> np.uint64(1 << 33):", DIN),
+    Mutation("din: a record that ends at 2^32 is refused", DI, "> np.uint64(1 << 32):", ">= np.uint64(1 << 32):", DIN),
+    Mutation("din: a label may not have 0x", DI, "        if text[i] != 10:\n            if text[i] == 48 and (text[i + 1] == 120 or text[i + 1] == 88):\n                i += 2\n", "        if text[i] != 10:\n", f"{DIN} {STREAMS}"),
+    Mutation("din: no warning of pre-fetches that span lines", DI, 'if fmt == "binary" and prefetch == "b":', 'if fmt == "xml":', STREAMS),
+    # --- names and forms ---
+    Mutation("names: handed to Arrow", RD, 'handles.enter_context(file.open("rb"))', "str(file)", STREAMS),
+    Mutation("names: written by Arrow", "traces/writer.py", 'self._file = path.open("wb")', "self._file = path", STREAMS),
+    Mutation("names: printed as they are", "nptrace/groups.py", 'sys.stdout.reconfigure(errors="backslashreplace")', "pass", STREAMS),
+    Mutation("forms: --json beside another form", "nptrace/output.py", 'if as_json and form not in (None, "json"):', 'if as_json and form == "json":', STREAMS),
+]

@@ -1,0 +1,132 @@
+"""Mutations of what is reported: printed values, units and names, orders, pictures, borders, state between batches."""
+
+# ruff: noqa: E501
+# fmt: off
+
+from tests.mutations.mutation import Mutation
+
+PRINTED, CHECKS = "tests/nptrace/test_printed_values.py", "tests/nptrace/test_check.py"
+BORDERS, ORDERS, PICTURES = "tests/rtrace/test_borders.py", "tests/rtrace/test_orders.py", "tests/rtrace/test_pictures.py"
+STATE, TREES = "tests/cachesim/test_state_between_batches.py", "tests/rtrace/trees/test_tree_cache.py"
+RENDERED, REPLAYED, SWEPT = PRINTED + " -k test_render", PRINTED + " -k test_replay", PRINTED + " -k test_sweep"
+PLOTTED = PRINTED + " -k plot"
+TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
+
+MUTATIONS = [
+    # Borders
+    Mutation("border: a batch longer than a chunk is cut", "rtrace/render.py",
+             "step = CHUNK if shooting.batch == 0 else batch * max(1, CHUNK // batch)", "step = CHUNK", BORDERS + " -k never_cut"),
+    Mutation("border: a chunk holds one batch too few and ends inside it", "rtrace/render.py",
+             "batch * max(1, CHUNK // batch)", "max(batch, CHUNK)", BORDERS + " -k never_cut"),
+    Mutation("border: first in 32 bits", "rtrace/render.py", '+= np.uint64(n_accesses)', '+= np.uint64(n_accesses & 0xFFFFFFFF)', BORDERS + " -k 32_bits"),
+    Mutation("border: rays of later chunks numbered from 0", "rtrace/render.py", 'chunk.rays["ray"] += np.uint32(n_rays)', 'chunk.rays["ray"] += np.uint32(0)', BORDERS + " -k 32_bits"),
+    Mutation("border: lines of nodes from addresses of 32 bits", "cachesim/lines.py",
+             "first, last = address >> shift,", "first, last = (address & 0xFFFFFFFF) >> shift,", BORDERS + " -k 2_32"),
+    Mutation("border: the last line of a node from an address of 32 bits", "cachesim/lines.py",
+             "(address + (node_bytes - 1)) >> shift", "((address + (node_bytes - 1)) & 0xFFFFFFFF) >> shift", BORDERS + " -k 2_32"),
+    Mutation("border: an access beyond the last address begins at 0 again", "cachesim/source.py",
+             "last_byte = np.minimum(address + (np.asarray(size, np.int64) - 1), (1 << 32) - 1)",
+             "last_byte = (address + (np.asarray(size, np.int64) - 1)) & 0xFFFFFFFF", BORDERS + " -k last_addresses"),
+    Mutation("border: addresses of text with 31 bits", "traces/din.py", "address[n] = value & np.uint64(0xFFFFFFFC)", "address[n] = value & np.uint64(0x7FFFFFFC)", BORDERS + " -k last_addresses"),
+    Mutation("border: DineroIV's block counts in float32", "cachesim/report/dinero.py", "return np.array([fetch + read", "return np.float32([fetch + read", BORDERS + " -k whole"),
+    Mutation("border: misses counted in float32", "cachesim/replay.py", "self.misses = np.zeros(N_LABELS, np.int64)", "self.misses = np.zeros(N_LABELS, np.float32)", BORDERS + " -k more_misses"),
+    Mutation("border: a sweep counts in int16", "cachesim/all_associativity.py", "2 + LANES + LANES * n_deeper), np.int64)", "2 + LANES + LANES * n_deeper), np.int16)", BORDERS + " -k more_misses"),
+    Mutation("border: the pre-fetch unit's stack ends at 64", "cachesim/prefetch.py",
+             "np.zeros(max(int(level.max()), 1), np.int64)", "np.zeros(min(max(int(level.max()), 1), 64), np.int64)", BORDERS + " -k deeper"),
+    Mutation("border: nodes below level 63 are on level 63", "rtrace/trees/tree.py", "level[i] + np.uint16(1)", "min(level[i] + np.uint16(1), np.uint16(63))", BORDERS + " -k deeper"),
+    # Pictures
+    Mutation("picture: no shadows", "rtrace/chunk.py", "lit[owner[k]] = 0", "lit[owner[k]] = 1", PICTURES + " -k shaded"),
+    Mutation("picture: all facing surfaces in shadow", "rtrace/chunk.py", "if occluder[k] >= 0:\n            lit", "if occluder[k] >= -1:\n            lit", PICTURES + " -k shaded"),
+    Mutation("picture: the primary pass of batch 0 comes last", "rtrace/render.py", "(None,) if shooting.batch else (PRIMARY, SHADOW)", "(None,) if shooting.batch else (SHADOW, PRIMARY)", PICTURES + " -k every_order"),
+    Mutation("picture: chunks of the shadow pass not drawn", "rtrace/render.py", "picture[chunk.pixels] = chunk.colours", "picture[chunk.pixels] = np.maximum(picture[chunk.pixels], chunk.colours)", PICTURES + " -k every_order"),
+    Mutation("picture: pixels in shooting order", "rtrace/render.py", "picture[chunk.pixels] = chunk.colours", "picture[np.sort(chunk.pixels)] = chunk.colours", PICTURES + " -k every_order"),
+    Mutation("picture: half the light", "rtrace/chunk.py", "0.74 * facing[i]", "0.37 * facing[i]", PICTURES + " -k shaded"),
+    Mutation("picture: red and blue swapped", "rtrace/chunk.py", "colours[i, k] = np.uint8(", "colours[i, 2 - k] = np.uint8(", PICTURES + " -k shaded"),
+    Mutation("shadow offset: a quarter", "rtrace/chunk.py", "OFFSET = 2.0 * 2.0**-22", "OFFSET = 0.5 * 2.0**-22", PICTURES + " -k units"),
+    Mutation("shadow offset: 256 times", "rtrace/chunk.py", "off = OFFSET * size", "off = 256.0 * OFFSET * size", PICTURES + " -k units"),
+    Mutation("shadow offset: twice before the light", "rtrace/chunk.py", "last = 1.0 - OFFSET * max", "last = 1.0 - 2.0 * OFFSET * max", PICTURES + " -k units"),
+    # Orders
+    Mutation("order: Morton turned", "rtrace/camera.py", "_curve(((0, 0), (1, 0), (0, 1), (1, 1)), (0, 0, 0, 0)", "_curve(((0, 0), (0, 1), (1, 0), (1, 1)), (0, 0, 0, 0)", ORDERS),
+    Mutation("order: Hilbert turned", "rtrace/camera.py", "_curve(((0, 0), (0, 1), (1, 1), (1, 0)), (1, 0, 0, 3)", "_curve(((0, 0), (1, 0), (1, 1), (0, 1)), (1, 0, 0, 3)", ORDERS),
+    Mutation("order: the quarters of Hilbert's curve not turned", "rtrace/camera.py", "(1, 0, 0, 3), width", "(0, 0, 0, 0), width", ORDERS),
+    Mutation("order: tiles row by row", "rtrace/camera.py", "split.transpose(3, 0, 1, 4, 2, 5)", "split.transpose(0, 3, 1, 4, 2, 5)", ORDERS),
+    Mutation("order: squares column by column", "rtrace/camera.py", "split.transpose(3, 0, 1, 4, 2, 5)", "split.transpose(3, 0, 4, 1, 2, 5)", ORDERS),
+    Mutation("order: another half of the random bits", "rtrace/camera.py", "& np.uint64(0xFFFFFFFF_00000000)", "<< np.uint64(32)", ORDERS),
+    Mutation("order: random from the seed 0", "rtrace/camera.py", "np.random.PCG64(seed)", "np.random.PCG64(0)", ORDERS),
+    Mutation("order: --seed of render ignored", "nptrace/commands/render.py", "shooting = Shooting(*parse_size(size), order, batch, seed)", "shooting = Shooting(*parse_size(size), order, batch, 0)", PRINTED + " -k random_order"),
+    # render
+    Mutation("render: n_shadowed counts primary hits", "rtrace/render.py", "n_shadowed += chunk.n_shadowed", "n_shadowed += chunk.n_hits", RENDERED),
+    Mutation("render: n_hits and n_shadow_rays swapped", "rtrace/render.py", "n_rays, n_hits, n_shadow, n_shadowed,\n", "n_rays, n_shadow, n_hits, n_shadowed,\n", RENDERED),
+    Mutation("render: pre-fetches count as accesses", "rtrace/render.py", "n_accesses - n_prefetches, n_prefetches, n_bytes", "n_accesses, n_prefetches, n_bytes", RENDERED),
+    Mutation("render: bytes without the picture's", "rtrace/render.py", "for file in path.iterdir())", "for file in path.glob('*.parquet'))", RENDERED),
+    Mutation("render: hits as a share of all rays", "rtrace/render.py", "self.n_hits / (self.n_rays - self.n_shadow_rays)", "self.n_hits / self.n_rays", RENDERED),
+    Mutation("render: shadowed as a share of the hits", "rtrace/render.py", "self.n_shadowed / self.n_shadow_rays if", "self.n_shadowed / self.n_hits if", RENDERED),
+    Mutation("render: accesses per primary ray", "rtrace/render.py", "return self.n_accesses / self.n_rays", "return self.n_accesses / (self.n_rays - self.n_shadow_rays)", RENDERED),
+    Mutation("render: columns of nodes and triangles swapped in the table", "cli.py", "run.path, number(run.n_triangles), number(run.n_nodes)", "run.path, number(run.n_nodes), number(run.n_triangles)", RENDERED),
+    Mutation("render: pre-fetches in the column of accesses", "nptrace/commands/render.py", "number(run.n_accesses), number(run.accesses_per_ray, 1)", "number(run.n_prefetches), number(run.accesses_per_ray, 1)", RENDERED),
+    # replay
+    Mutation("replay: KB of 1000 bytes", "cachesim/report/replay_tables.py", "r.bytes_from_memory / 1024", "r.bytes_from_memory / 1000", REPLAYED),
+    Mutation("replay: useful and useless swapped in the JSON", "cachesim/result.py", '"useful": self.useful,\n            "useless": self.useless', '"useful": self.useless,\n            "useless": self.useful', REPLAYED),
+    Mutation("replay: useless and resident swapped in the table", "cachesim/report/replay_tables.py", "(r.useful, r.useless, r.resident)", "(r.useful, r.resident, r.useless)", REPLAYED),
+    Mutation("replay: capacity and conflict swapped in the table", "cachesim/report/replay_tables.py", "(r.compulsory, r.capacity, r.conflict)", "(r.compulsory, r.conflict, r.capacity)", REPLAYED),
+    Mutation("replay: kinds of misses with those of pre-fetches", "cachesim/result.py", "int(getattr(self, name)[:PREFETCH].sum())", "int(getattr(self, name).sum())", REPLAYED),
+    Mutation("replay: redundant counts the fills", "cachesim/result.py", '"redundant": self.prefetch_accesses - self.prefetch_misses', '"redundant": self.prefetch_misses', REPLAYED),
+    Mutation("replay: accuracy of those issued", "cachesim/result.py", "return ratio(self.useful, self.prefetch_misses)", "return ratio(self.useful, self.prefetch_accesses)", REPLAYED),
+    Mutation("replay: the paper's rate of demand accesses alone", "cachesim/result.py", "self.demand_accesses + self.prefetch_accesses)", "self.demand_accesses)", REPLAYED),
+    Mutation("replay: traffic of demand misses alone", "cachesim/result.py", "return ratio(self.bytes_from_memory, self", "return ratio(self.demand_misses * self.config.line_bytes, self", REPLAYED),
+    Mutation("replay: rates of the table swapped", "cachesim/report/replay_tables.py", "[percent(r.demand_miss_rate), percent(r.paper_miss_rate)]", "[percent(r.paper_miss_rate), percent(r.demand_miss_rate)]", REPLAYED),
+    Mutation("replay: sizes of lines and ways swapped in the JSON", "cachesim/result.py", '"ways": config.ways,\n            "line_bytes": config.line_bytes', '"ways": config.line_bytes,\n            "line_bytes": config.ways', REPLAYED),
+    Mutation("replay: --seed ignored", "nptrace/commands/replay.py", "one_line, one_policy, seed)", "one_line, one_policy, 0)", PRINTED + " -k random_policy"),
+    Mutation("replay: per cent of a share of one", "nptrace_base/tables.py", "None if value is None else 100 * value, decimals", "None if value is None else value, decimals", REPLAYED),
+    # DineroIV's block
+    Mutation("dinero: columns of misc and ifetch swapped", "cachesim/report/dinero.py", "[fetch + read + write + misc, fetch, read + write + misc, read, write, misc]", "[fetch + read + write + misc, misc, read + write + misc, read, write, fetch]", BLOCK),
+    Mutation("dinero: fractions of the pre-fetches of all", "cachesim/report/dinero.py", "requests / _or_one(requests[0])", "requests / _or_one(total[0])", BLOCK),
+    Mutation("dinero: PF miss rate of all accesses", "cachesim/report/dinero.py", "request_misses / _or_one(requests)", "request_misses / _or_one(total)", BLOCK),
+    Mutation("dinero: kinds of the pre-fetches' misses from demand", "cachesim/report/dinero.py", '_three_c(result, PREFETCH, request_misses, "PF {}", "fract")', '_three_c(result, 0, request_misses, "PF {}", "fract")', BLOCK),
+    Mutation("dinero: bytes of demand misses alone", "cachesim/report/dinero.py", 'f" Bytes From Memory\\t{result.bytes_from_memory:12.0f}', 'f" Bytes From Memory\\t{result.demand_misses * 16:12.0f}', BLOCK),
+    # sweep
+    Mutation("sweep: coverage is what remains", "cachesim/sweep.py", '"coverage": None if coverage is None else 1.0 - coverage', '"coverage": coverage', SWEPT),
+    Mutation("sweep: total misses without pre-fetches", "cachesim/sweep.py", '"total_misses": misses', '"total_misses": self.demand_misses', SWEPT),
+    Mutation("sweep: sets and ways swapped", "cachesim/sweep.py", '"sets": config.n_sets,\n            "ways": config.ways', '"sets": config.ways,\n            "ways": config.n_sets', SWEPT),
+    Mutation("sweep: miss rate without over all accesses", "cachesim/sweep.py", "ratio(self.demand_misses_without, self.demand_accesses)", "ratio(self.demand_misses_without, self.demand_accesses + self.prefetch_accesses)", SWEPT),
+    Mutation("sweep: A is the same as B", "cachesim/sweep.py", "everything, demand = self._streams[0], self._streams[-1]", "everything, demand = self._streams[0], self._streams[0]", SWEPT),
+    Mutation("sweep: Parquet's rates as whole numbers", "cachesim/report/sweep_output.py", "types_of.get(type(value), pa.float64())", "types_of.get(type(value), pa.float32())", SWEPT),
+    Mutation("plot: with and without swapped", "cachesim/report/sweep_output.py", 'rates = [100.0 * (values[rate] or 0.0)', 'rates = [100.0 * (values["demand_miss_rate_without" if rate == "demand_miss_rate" else "demand_miss_rate"] or 0.0)', PLOTTED),
+    Mutation("plot: shares of one instead of per cent", "cachesim/report/sweep_output.py", "rates = [100.0 * (values[rate]", "rates = [(values[rate]", PLOTTED),
+    # table1
+    Mutation("table1: KB of A of 1000 bytes", "cachesim/report/table1.py", "result.config.line_bytes / 1024", "result.config.line_bytes / 1000", TABLE1),
+    Mutation("table1: KB of B of 1000 bytes", "cachesim/report/table1.py", "result.bytes_from_memory / 1024", "result.bytes_from_memory / 1000", TABLE1),
+    Mutation("table1: a hit costs nothing", "cachesim/report/table1.py", "HIT_CYCLES, MISS_CYCLES = 1, 100", "HIT_CYCLES, MISS_CYCLES = 0, 100", TABLE1),
+    Mutation("table1: N of the trees swapped", "cachesim/report/table1.py", '{"kdtree": 15.77, "bvh": 27.00}', '{"kdtree": 27.00, "bvh": 15.77}', TABLE1),
+    Mutation("table1: ours minus the paper's the other way round", "cachesim/report/table1_tables.py", "mine - row.paper[name]", "row.paper[name] - mine", TABLE1),
+    Mutation("table1: B's ACPR with the measured N of A", "cachesim/report/table1_tables.py", 'for name in ("acpr_a", "acpr_b")]', 'for name in ("acpr_a", "acpr_a")]', TABLE1),
+    Mutation("table1: accesses per primary ray", "cachesim/report/table1.py", "per_ray = ratio(result.demand_accesses, result.n_rays or 0)", "per_ray = ratio(result.demand_accesses + result.prefetch_accesses, result.n_rays or 0)", TABLE1),
+    Mutation("table1: two demand columns swapped", "cachesim/report/table1_tables.py", '"demand_ratio", "coverage", "accuracy")\n\nNOTES', '"demand_ratio", "accuracy", "coverage")\n\nNOTES', TABLE1),
+    Mutation("table1: paper's column of the CSV is ours", "cachesim/report/table1.py", 'values[f"{name}_paper"] = row.ours[name], row.paper[name]', 'values[f"{name}_paper"] = row.paper[name], row.ours[name]', TABLE1),
+    # export
+    Mutation("export: the number said leaves the last row group out", "traces/din.py", "written += where.size", "written = where.size - 1", EXPORTED),
+    Mutation("export: reads and misc swapped", "traces/din.py", '"read": 0x0, "misc": 0x3', '"read": 0x3, "misc": 0x0', EXPORTED),
+    Mutation("export: nodes of 4 bytes", "traces/din.py", "_records(where, what, node_bytes)", "_records(where, what, 4)", EXPORTED),
+    # check and scenes
+    Mutation("check: exit status always 0", "nptrace/commands/check.py", "    if n_bad:\n        raise SystemExit(1)", "    if n_bad < 0:\n        raise SystemExit(1)", CHECKS),
+    Mutation("check: --hard does not count", "nptrace/commands/check.py", 'n_bad = sum(not row["is_good"] for row in rows)', 'n_bad = sum(not row["is_good"] for row in rows if "scene" in row)', CHECKS),
+    Mutation("check: hits may differ a hundred times as often", "rtrace/checks/embree.py", "HIT_LIMIT, PRIM_LIMIT = 1e-5, 5e-5", "HIT_LIMIT, PRIM_LIMIT = 1e-3, 5e-5", CHECKS),
+    Mutation("check: triangles may differ a hundred times as often", "rtrace/checks/embree.py", "HIT_LIMIT, PRIM_LIMIT = 1e-5, 5e-5", "HIT_LIMIT, PRIM_LIMIT = 1e-5, 5e-3", CHECKS),
+    Mutation("check: kappa a hundred times as wide", "rtrace/checks/embree.py", "KAPPA_LIMIT = 128.0", "KAPPA_LIMIT = 12800.0", CHECKS),
+    Mutation("check: t may be off by itself", "rtrace/checks/embree.py", "T_LIMIT = 1e-2", "T_LIMIT = 1.0", CHECKS),
+    Mutation("check: Embree not in robust mode", "rtrace/checks/embree.py", "EmbreeScene(robust=True)", "EmbreeScene(robust=False)", CHECKS),
+    Mutation("check: --seed ignored", "nptrace/commands/check.py", "compare(trees, scene, width, height, n_random, seed)", "compare(trees, scene, width, height, n_random, 1)", CHECKS),
+    Mutation("check: a unit of kappa from one edge", "rtrace/checks/embree.py", "np.linalg.norm(e1, axis=1) * np.linalg.norm(e2, axis=1)", "np.linalg.norm(e1, axis=1) ** 2 * 3", CHECKS),
+    Mutation("check: trees not compared with each other's t", "rtrace/checks/embree.py", "float((~same).sum()), 0.0)", "float((same).sum()), 0.0)", CHECKS),
+    Mutation("check: lost and invented swapped in the table", "nptrace/commands/check.py", '("n_rays", "lost", "invented"', '("n_rays", "invented", "lost"', CHECKS),
+    Mutation("check: a hard case with unlike rays is good", "rtrace/checks/hard_cases.py", "self.wrong or self.unlike)", "self.wrong)", CHECKS),
+    Mutation("check: value and limit swapped", "nptrace/commands/check.py", """f"{r['value']:.3g}", f"{r['limit']:.3g}",""", """f"{r['limit']:.3g}", f"{r['value']:.3g}",""", CHECKS),
+    Mutation("scenes: stand-ins of two scenes swapped", "rtrace/scenes/catalog.py", "e.url or \"\", e.stand_in))", "e.url or \"\", e.name))", CHECKS),
+    # State between batches
+    Mutation("state: OPT's account begins anew with each batch", "cachesim/replay.py", "replay_optimal(lines, ids, labels, next_use, n_before, self.cache)",
+             "self.cache.account[:] = 0\n            replay_optimal(lines, ids, labels, next_use, n_before, self.cache)", STATE),
+    Mutation("state: OPT counts its accesses from 0 in each batch", "cachesim/replay.py", "replay_optimal(lines, ids, labels, next_use, n_before, self.cache)",
+             "replay_optimal(lines, ids, labels, next_use, 0, self.cache)", STATE),
+    Mutation("state: the pre-fetch unit's stack is empty after a batch", "cachesim/prefetch.py", "policy, pieces, start = self._policy, [], 0\n", "policy, pieces, start = self._policy, [], 0\n        self._state[1] = 0\n", STATE),
+    Mutation("state: the tree cache is written in place", "rtrace/trees/tree_cache.py", "os.replace(temporary, path)", "path.write_bytes(Path(temporary).read_bytes())", TREES),
+]

@@ -1,0 +1,77 @@
+"""The harness that breaks the program on purpose: what it compiles again, what it keeps, and what it calls a survivor."""
+
+import shutil
+
+import pytest
+
+from tests.mutations import MUTATIONS, ROOT, Workshop, users_of
+from tests.mutations.mutation import Mutation
+
+INNER = """from jit import inlined
+
+STEP = 2
+
+@inlined
+def double(x):
+    return STEP * x
+"""
+OUTER = """from jit import kernel
+from rtrace.inner import double
+
+@kernel
+def total(n):
+    sum_ = 0
+    for i in range(n):
+        sum_ += double(i)
+    return sum_
+"""
+TEST = """from cachesim.outer import total
+
+def test_total():
+    assert total(10) == 90
+"""
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """A project of two kernels: one file's is pasted into the other's, which a test calls."""
+    folder = tmp_path_factory.mktemp("small") / "project"
+    files = {
+        "rtrace/__init__.py": "",
+        "cachesim/__init__.py": "",
+        "rtrace/inner.py": INNER,
+        "cachesim/outer.py": OUTER,
+        "tests/test_total.py": TEST,
+        "pytest.ini": "[pytest]\n",
+    }
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    for name in ("nptrace_base/jit.py", "nptrace_base/compiling.py"):
+        shutil.copy(ROOT / name, folder / name)
+    return folder
+
+
+def test_a_kernel_pasted_into_another_file_is_compiled_again(project, tmp_path):
+    workshop, tests = Workshop(tmp_path, project), "tests/test_total.py"
+    broken = Mutation("pasted", "rtrace/inner.py", "STEP * x", "STEP * x + 1", tests)
+    harmless = Mutation("harmless", "rtrace/inner.py", "STEP * x", "x * STEP", tests)
+    assert workshop.who_notices(broken) == "test_total.py::test_total"
+    assert workshop.who_notices(harmless) == ""
+
+
+def test_users_are_found_through_others_and_inside_functions():
+    users = {path.relative_to(ROOT).as_posix() for path in users_of("rtrace/intersect.py", ROOT)}
+    assert {"rtrace/traverse.py", "rtrace/chunk.py", "rtrace/render.py", "rtrace/checks/embree.py", "cli.py"} <= users
+    assert not any(name.startswith("cachesim/") for name in users)
+    every = {path.relative_to(ROOT).as_posix() for path in users_of("nptrace_base/jit.py", ROOT)}
+    assert {"rtrace/trees/kdtree.py", "cachesim/cache.py", "traces/din.py"} <= every
+
+
+def test_every_mutation_has_its_place_and_its_name():
+    names = [mutation.what for mutation in MUTATIONS]
+    assert len(set(names)) == len(names)
+    for mutation in MUTATIONS:
+        assert mutation.old in (ROOT / mutation.file).read_text(encoding="utf-8"), mutation.what
+        assert mutation.old != mutation.new
+        assert all((ROOT / word).is_file() for word in mutation.tests.split() if word.startswith("tests/")), mutation.what

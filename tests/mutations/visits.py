@@ -1,0 +1,36 @@
+# ruff: noqa: E501
+# fmt: off
+"""Mutations of what visits mean: margins of strays, zeros, rays that are none, cut chunks, cameras, kernels in Python."""
+
+from tests.mutations.mutation import Mutation
+
+STRAYS, RULES, MEMORY = "tests/rtrace/trees/test_strays.py", "tests/rtrace/test_visit_rules.py", "tests/rtrace/test_memory_of_tracing.py"
+CAMERA, PLAIN = "tests/rtrace/test_camera.py", "tests/nptrace/test_without_jit.py"
+
+MUTATIONS = [
+    Mutation("strays: none ever", "rtrace/trees/strays.py", "return limit if limit < farthest < _LARGEST else np.inf", "return np.inf", STRAYS),
+    Mutation("strays: a box beyond the largest float32", "rtrace/trees/strays.py", "limit < farthest < _LARGEST", "limit < farthest", STRAYS),
+    Mutation("strays: no room around their boxes", "rtrace/trees/strays.py", "slack = SLACK * size[strays, None]", "slack = 0.0 * size[strays, None]", STRAYS),
+    Mutation("strays: no room around their parts in a kd-tree", "rtrace/trees/strays.py", "return SLACK * largest if largest > limit else 0.0", "return 0.0", STRAYS),
+    Mutation("strays: they belong to the core", "rtrace/trees/strays.py", "near[strays] = False", "near[strays] = True", STRAYS),
+    Mutation("strays: binned records keep their tight boxes", "rtrace/trees/binned_sah.py", "boxes[:, :3], boxes[:, 3:6] = lower, NOTHING - upper", "pass", STRAYS),
+    Mutation("clip: parts of strays do not reach across the plane", "rtrace/trees/clip.py", "low_plane, high_plane = plane - slack, plane + slack", "low_plane, high_plane = plane, plane", STRAYS),
+    Mutation("clip: bounds of parts of strays are tight", "rtrace/trees/clip.py", "min(hi, _rank_above(upper + slack))", "min(hi, _rank_above(upper))", STRAYS),
+    Mutation("tree cache: the core is the whole box", "rtrace/trees/tree_cache.py", "extent = np.stack((tree.bounds, tree.core))", "extent = np.stack((tree.bounds, tree.bounds))", "tests/rtrace/trees/test_tree_cache.py"),
+    Mutation("traversal: the inverse of a zero has its sign", "rtrace/intersect.py", "return 1.0 / d if d != 0.0 else HUGE", "return 1.0 / d if d != 0.0 else np.copysign(HUGE, d)", RULES),
+    Mutation("traversal: rays that are none are traced", "rtrace/intersect.py", "return t_max if total - total == 0.0 and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan", "return t_max", RULES),
+    Mutation("traversal: rays without a direction are traced", "rtrace/intersect.py", " and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan", " else np.nan", RULES),
+    Mutation("room: holds any number of events", "rtrace/traverse.py", "room.events.size >= room.most", "room.events.size >= 1000 * room.most", MEMORY),
+    Mutation("room: a long ray alone is refused too", "rtrace/traverse.py", "if n > 1 and room.most is not None", "if room.most is not None", MEMORY),
+    Mutation("chunks: halves of a batch keep their shadow rays", "rtrace/chunk.py", "return [(start, stop, PRIMARY), (start, stop, SHADOW)]", "return [(start, start + 1, None), (start + 1, stop, None)]", MEMORY),
+    Mutation("chunks: pieces of a chunk in the wrong order", "rtrace/render.py", "reversed(smaller_pieces(piece[0], piece[1], batch, piece[2]))", "smaller_pieces(piece[0], piece[1], batch, piece[2])", MEMORY),
+    Mutation("chunks: the limit is not handed on", "rtrace/render.py", "batch, which, MOST_EVENTS", "batch, which, None", MEMORY),
+    Mutation("chunks: pixels counted in both passes", "rtrace/render.py", "if chunk.is_shaded:", "if True:", MEMORY),
+    Mutation("camera: an eye of any size", "rtrace/camera.py", "if max(map(abs, self.eye)) > FARTHEST:", "if False:", CAMERA),
+    Mutation("camera: a field of any width", "rtrace/camera.py", "if self.fov < MIN_FOV:", "if False:", CAMERA),
+    Mutation("camera: fitted beyond float32", "rtrace/camera.py", "    distance = min(distance, np.min(", "    distance = max(distance, 0 * np.min(", CAMERA),
+    Mutation("plain: smaller lanes are larger", "rtrace/simd.py", "lambda *lanes: tuple(a if a < b else b", "lambda *lanes: tuple(b if a < b else a", PLAIN),
+    Mutation("plain: boxes do not grow", "rtrace/trees/binned_sah.py", "_on_eight_words(_least, np.fmin)", "_on_eight_words(_least, np.fmax)", PLAIN),
+    Mutation("plain: the line carried is dropped", "cachesim/all_associativity.py", "    group[0] = carried\n", "", PLAIN),
+    Mutation("plain: warnings of NumPy's scalars", "nptrace_base/jit.py", 'with np.errstate(all="ignore"):', "if True:", PLAIN),
+]

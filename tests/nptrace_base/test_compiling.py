@@ -1,0 +1,90 @@
+"""Compiling: ahead of the first use, said when it happens, and never the same kernel twice."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+from nptrace_base import compiling
+from nptrace_base.jit import cache_folder
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SIGNATURES = """
+import sys, precompile
+from numba.core.dispatcher import Dispatcher
+for part in precompile.PARTS:
+    part()
+for name, module in sorted(sys.modules.items()):
+    if name.split(".")[0] in ("rtrace", "cachesim", "traces"):
+        for kernel in vars(module).values():
+            if isinstance(kernel, Dispatcher) and kernel.py_func.__module__ == name:
+                for signature in kernel.signatures:
+                    print(name, kernel.py_func.__name__, *signature, sep="|")
+"""
+
+USE = """
+import sys, compiling, cli
+from click.testing import CliRunner
+def run(group, *args):
+    result = CliRunner().invoke(group, args)
+    assert result.exit_code == 0, result.output
+small = ["--size", "8x8", "--offline"]
+run(cli.nptrace, "render", "blob", *small)
+run(cli.nptrace, "render", "court", "--accel", "bvh", "--bvh", "binned", "--batch", "0", *small)
+run(cli.nptrace, "check", "blob", *small, "--random", "50")
+run(cli.nptrace, "export", "traces/blob-bvh", "--to", "din")
+run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "lru,fifo,random", "--line", "16,32,64")
+run(cli.npcache, "replay", "--3c", "--layout", "veb,bfs,dfs,treelet:256", "--prefetch", "none,stack:once,next-line:miss")
+run(cli.npcache, "replay", "blob-bvh.din", "--line", "8,32")
+run(cli.npcache, "sweep", "--ways", "1..24,full", "--prefetch", "traced,stack")
+run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "opt")
+run(cli.npcache, "estimate", "blob", "--table1", "--pixels", "32x32", "--offline")
+print(compiling.n_compiled)
+"""
+
+
+def python(code, cwd, **environment):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
+    environment.pop("NPTRACE_SCENES", None)
+    return subprocess.run([sys.executable, "-c", code], cwd=cwd, env=environment, capture_output=True, text=True, check=True)
+
+
+def test_no_kernel_is_compiled_twice_and_nothing_after_compile(tmp_path):
+    """Read-only and other arrays, int64 and a literal are different types to Numba: each would be a compilation more."""
+    seen = set()
+    for line in python(SIGNATURES, tmp_path).stdout.splitlines():
+        same = re.sub(
+            r"Literal\[int\]\(\d+\)", "int64", re.sub(r"nonconst |readonly |Array\((\w+, \d, '\w').*?\)", r"\1", line)
+        )
+        assert same not in seen, line
+        seen.add(same)
+    assert len(seen) > 25
+    assert python(USE, tmp_path).stdout == "0\n"
+
+
+def test_the_first_compilation_is_said_once(monkeypatch):
+    said = []
+    monkeypatch.setattr(compiling, "n_compiled", 0)
+    monkeypatch.setattr(compiling, "announce", said.append)
+    for _ in range(3):
+        compiling.started(cache_folder())
+    assert len(said) == 1 and str(cache_folder()) in said[0]
+    assert compiling.n_compiled == 3
+
+
+def test_only_a_program_says_so(tmp_path):
+    """On stderr, for a kernel that is really compiled; a warm start says nothing."""
+    program = """
+import sys, cli
+sys.argv = ["nptrace", "--help"]
+try:
+    cli.nptrace()
+except SystemExit:
+    from nptrace_base import jit
+    jit.kernel(lambda x: x + 1, is_kept=False)(1)
+"""
+    done = python(program, tmp_path)
+    assert done.stderr.startswith("compiling for this machine, once") and done.stderr.count("\n") == 1
+    assert python("import cli; from nptrace_base import jit; jit.cache_folder()", tmp_path).stderr == ""

@@ -1,0 +1,131 @@
+"""Small random trees and traces that keep the contract of a run: what the tests of cachesim replay."""
+
+import random
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.reference.cache import Unit
+from traces.format import BOX, SPLIT
+from traces.reader import open_run
+from traces.writer import RunWriter
+
+
+@dataclass
+class Trace:
+    """A tree (one entry per node) and the rows of its accesses."""
+
+    kind: str
+    parent: list
+    level: list
+    n_prims: list
+    child: list  # lower child, 0 for a leaf
+    rows: list  # (ray, node, kind)
+    n_rays: int
+
+    @property
+    def node_bytes(self):
+        return 8 if self.kind == "kdtree" else 32
+
+    @property
+    def node_kinds(self):
+        return [(node, kind) for _, node, kind in self.rows]
+
+
+def make_tree(rng, max_level):
+    """Return parent, level, n_prims and child: pairs from 1 on, a pair, then its left subtree, then its right."""
+    parent, level, n_prims, child = [-1], [0], [0], [0]
+
+    def grow(node):
+        if level[node] == max_level or rng.random() < 0.15 * (level[node] > 1):
+            n_prims[node] = rng.choice([0, 1, 2, 5])
+            return
+        first = child[node] = len(parent)
+        for column, value in ((parent, node), (level, level[node] + 1), (n_prims, 0), (child, 0)):
+            column += [value, value]
+        grow(first)
+        grow(first + 1)
+
+    grow(0)
+    return parent, level, n_prims, child
+
+
+def make_trace(kind, seed, n_rays=20, max_level=6):
+    """Return a random tree and rays through it; the kind-3 rows are those of an unlimited budget."""
+    rng = random.Random(seed)
+    parent, level, n_prims, child = make_tree(rng, max_level)
+    rows = []
+    for ray in range(n_rays):
+        walk = _kd_ray if kind == "kdtree" else _bvh_ray
+        rows += [(ray, *row) for row in walk(rng, n_prims, child)]
+    return Trace(kind, parent, level, n_prims, child, rows, n_rays)
+
+
+def _kd_ray(rng, n_prims, child):
+    unit, node = Unit(), 0
+    while True:
+        if child[node]:
+            near = child[node] + rng.randrange(2)
+            pushes = rng.random() < 0.6
+            yield node, int(pushes)
+            if pushes:
+                unit.push(((near - 1) ^ 1) + 1)
+            node = near
+            continue
+        yield node, 2
+        if n_prims[node]:
+            yield from ((request, 3) for request in unit.leaf(None))
+        if not unit.stack or rng.random() < 0.1:  # nothing left, or a hit in this leaf
+            return
+        node = unit.pop()
+        while unit.stack and rng.random() < 0.2:  # entries beyond the nearest hit: popped, never read
+            node = unit.pop()
+
+
+def _bvh_ray(rng, n_prims, child):
+    unit, node = Unit(), 0
+    while True:
+        is_hit = node == 0 or rng.random() < 0.7
+        if is_hit and child[node]:
+            near = child[node] + rng.randrange(2)
+            yield node, 1
+            unit.push(((near - 1) ^ 1) + 1)
+            node = near
+            continue
+        yield node, 2 if is_hit else 0
+        if is_hit and n_prims[node]:
+            yield from ((request, 3) for request in unit.leaf(None))
+        if not unit.stack or (is_hit and rng.random() < 0.1):
+            return
+        node = unit.pop()
+
+
+def write(trace, path, repeat=1, scene="bunny", stand_in=False):
+    """Write a trace as a run and open it; ``repeat`` shoots the same rays again and again."""
+    n = len(trace.parent)
+    metadata = {
+        "scene": {"name": scene, "label": scene.title(), "stand_in": stand_in, "n_triangles": sum(trace.n_prims)},
+        "tree": {"kind": trace.kind, "node_bytes": trace.node_bytes},
+        "width": 1, "height": trace.n_rays, "n_rays": trace.n_rays * repeat,
+    }  # fmt: skip
+    rays, nodes, kinds = (np.array(column) for column in zip(*trace.rows, strict=True))
+    columns = {
+        "node": np.arange(n), "parent": np.array(trace.parent), "level": np.array(trace.level),
+        "axis": np.where(np.array(trace.child) > 0, 0, 3), "n_prims": np.array(trace.n_prims),
+        "address": np.arange(n) * trace.node_bytes,
+    }  # fmt: skip
+    fields = SPLIT if trace.kind == "kdtree" else BOX
+    columns |= {field.name: np.zeros(n) for field in fields}
+    types, counts = np.arange(trace.n_rays) % 2, np.bincount(rays, minlength=trace.n_rays)
+    with RunWriter(path, metadata, fields) as run:
+        run.append("nodes", columns)
+        for turn in range(repeat):
+            first = turn * rays.size + np.cumsum(counts) - counts
+            ids = turn * trace.n_rays + np.arange(trace.n_rays)
+            run.append("accesses", {"ray": rays + turn * trace.n_rays, "node": nodes, "kind": kinds})
+            run.append("rays", {
+                "ray": ids, "x": np.zeros_like(ids), "y": (ids - ids[0]) % 65536, "type": types, "first": first,
+                "count": counts, "prim": np.full(ids.size, -1), "t": np.full(ids.size, np.inf),
+            })  # fmt: skip
+        run.image(b"")
+    return open_run(path)

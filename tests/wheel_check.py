@@ -1,0 +1,63 @@
+"""Install the built wheel into a fresh environment and use it beside foreign modules: ``python -m tests.wheel_check``.
+
+The main job runs outside the checkout, in a folder (also on PYTHONPATH) with modules named as ours once were; each raises.
+Exit status 1 with one sentence if the wheel puts another name at the top of site-packages, or if a command fails.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+#: All that the wheel may put beside everybody's modules.
+TOP = {"cachesim", "cli.py", "nptrace", "nptrace_base", "rtrace", "traces"}
+FOREIGN = ("jit", "options", "compiling", "precompile", "errors", "tables", "atomic")
+JOB = (
+    ("nptrace", "--version"),
+    ("nptrace", "render", "sponza", "bunny", "--offline", "--size", "48x48"),
+    ("npcache", "replay", "--size", "8K,16K", "--assoc", "1,2", "--json"),
+    ("npcache", "table1"),
+    ("nptrace", "export", "traces/sponza-bvh", "--to", "din"),
+    ("npcache", "sweep", "sponza-bvh.din", "--size", "1K..8K"),
+)
+
+
+def main() -> None:
+    """Build, install, look, run."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, ROOT, cwd=folder)
+        (wheel,) = folder.glob("*.whl")
+        strangers = {path.split("/")[0] for path in zipfile.ZipFile(wheel).namelist()} - TOP
+        strangers = {name for name in strangers if not name.endswith(".dist-info")}
+        if strangers:
+            raise SystemExit(f"the wheel puts {', '.join(sorted(strangers))} at the top of site-packages; it may hold {TOP}")
+        run(sys.executable, "-m", "venv", folder / "env", cwd=folder)
+        python = folder / "env" / "bin" / "python"
+        run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel, cwd=folder)
+        work = folder / "work"
+        work.mkdir()
+        for module in FOREIGN:
+            (work / f"{module}.py").write_text(
+                f'raise ImportError("the foreign {module}.py was imported")\n', encoding="utf-8"
+            )
+        environment = {**os.environ, "PYTHONPATH": str(work), "XDG_CACHE_HOME": str(folder / "cache"), "HOME": str(folder)}
+        printed = [run(python.with_name(words[0]), *words[1:], cwd=work, env=environment) for words in JOB]
+        counted = json.loads(printed[2])
+        print(f"{wheel.name}: {len(JOB)} commands ran outside the checkout, {len(counted)} results")
+
+
+def run(*words: object, cwd: Path, env: dict[str, str] | None = None) -> str:
+    """Run a command and return its output; SystemExit with what it printed if it fails."""
+    done = subprocess.run([str(word) for word in words], cwd=cwd, env=env, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, words))} failed:\n{done.stdout}{done.stderr}")
+    return done.stdout
+
+
+if __name__ == "__main__":
+    main()
