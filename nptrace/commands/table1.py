@@ -55,7 +55,7 @@ def table1(
     if not chosen:
         raise BadInput(f"no run in {folder} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
     with progress_bar("replay", sum(run.n_accesses for run in chosen.values())) as progress:
-        rows = table.table1(chosen.values(), progress=progress)
+        rows = table.table1(chosen, progress=progress)
     for tree, scene in table.missing(chosen):
         click.echo(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}", err=True)
     tables, notes = table1_tables.tables(rows), table1_tables.notes(rows)
