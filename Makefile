@@ -33,7 +33,7 @@ $(INSTALLED): pyproject.toml
 test: $(INSTALLED) ## Run the tests (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
-test-nojit: $(INSTALLED) ## Run the tests of the kernels as plain Python (NUMBA_DISABLE_JIT=1), a few minutes
+test-nojit: $(INSTALLED) ## Run the tests of the kernels as plain Python (NUMBA_DISABLE_JIT=1), two minutes
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -p no:cacheprovider $(NOJIT) $(PYTEST_ARGS)
 
 lint: $(INSTALLED) ## Check style, types and the import rules
