@@ -1,7 +1,7 @@
 """A mesh file -> vertices and triangles exactly as the file has them: order kept, nothing merged, repaired or left out.
 
-The readers are our own, because no other returns what these files have: trimesh, meshio, plyfile and numpy-stl each read a small
-part of the corpus in tests/rtrace/scenes/test_mesh_corpus.py right. mapbox-earcut cuts the ears of polygons.
+The readers are our own, because no other returns what these files have: trimesh, meshio, plyfile and numpy-stl each read a
+small part of the corpus in tests/rtrace/scenes/test_mesh_corpus.py right. mapbox-earcut cuts the ears of polygons.
 """
 
 import io

@@ -47,8 +47,7 @@ def project(tmp_path_factory):
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
-    for name in ("nptrace_base/jit.py", "nptrace_base/compiling.py"):
-        shutil.copy(ROOT / name, folder / name)
+    shutil.copytree(ROOT / "nptrace_base", folder / "nptrace_base", ignore=shutil.ignore_patterns("__pycache__"))
     return folder
 
 

@@ -120,7 +120,10 @@ def test_table1(folder, tmp_path):
         (["replay", "no-such.din"], "Error: cannot read no-such.din: No such file or directory"),
         (["replay", "--traces", "nowhere"], "Error: there is no run in nowhere; make one with `nptrace render SCENE`"),
         (["table1", "--traces", "nowhere"], "Error: there is no run in nowhere"),
-        (["table1", "--traces", "HERE", "-o", "no/where.csv"], "Error: cannot write no/where.csv: No such file or directory"),
+        (
+            ["table1", "--traces", "HERE", "-o", "no/where.csv"],
+            "Error: cannot write no/where.csv: there is no folder no; name another file",
+        ),
         (["replay", "BAD"], "line 3: label 1 is a write, and nodes are read-only"),
         (["replay", "DAMAGED"], "is not a complete run: nodes.parquet missing; render it again"),
     ],
