@@ -46,9 +46,9 @@ MUTATIONS = [
     Mutation("clipping: the crossing point is not put on the plane", CL, "    points[out + axis] = plane\n", "", KD),
     Mutation("clipping: corners on the plane are lost", CL, "if here * side >= 0.0:", "if here * side > 0.0:", KD),
     Mutation("clipping: the last edge is left open", CL, "        b = a + THREE if i + ONE < n else first\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", "        b = a + THREE if i + ONE < n else a\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", KD),
-    Mutation("clipping: bounds outgrow those of the cell before", CL, "inner_lo, inner_hi = max(lo, _rank_below(lower)), min(hi, _rank_above(upper))", "inner_lo, inner_hi = _rank_below(lower), _rank_above(upper)", KD),
-    Mutation("clipping: parts bounded by corners alone", CL, "            _include(points, crossing, in_below)\n            _include(points, crossing, in_above)\n", "", KD),
-    Mutation("clipping: the upper part misses the crossing points", CL, "            _include(points, crossing, in_above)\n", "", KD),
+    Mutation("clipping: bounds outgrow those of the cell before", CL, "inner_lo, inner_hi = max(lo, _rank_below(lower - slack)), min(hi, _rank_above(upper + slack))", "inner_lo, inner_hi = _rank_below(lower - slack), _rank_above(upper + slack)", KD),
+    Mutation("clipping: parts bounded by corners alone", CL, "            _include(points, crossing, in_below)\n            if slack == 0.0:\n                _include(points, crossing, in_above)\n", "", KD),
+    Mutation("clipping: the upper part misses the crossing points", CL, "            if slack == 0.0:\n                _include(points, crossing, in_above)\n", "", KD),
     Mutation("clipping: an upper bound is not widened", CL, "points[box + THREE + k] = max(points[box + THREE + k], x)", "points[box + THREE + k] = x", KD),
     # --- BVH ---
     Mutation("BVH: half the area leaves a face out", BV, "return dx * dy + dy * dz + dz * dx", "return dx * dy + dy * dz", BVH),

@@ -52,7 +52,7 @@ MUTATIONS = [
     Mutation("din: no warning of pre-fetches that span lines", DI, 'if fmt == "binary" and prefetch == "b":', 'if fmt == "xml":', STREAMS),
     # --- names and forms ---
     Mutation("names: handed to Arrow", RD, 'handles.enter_context(file.open("rb"))', "str(file)", STREAMS),
-    Mutation("names: written by Arrow", "traces/writer.py", 'self._file = path.open("wb")', "self._file = path", STREAMS),
+    Mutation("names: written by Arrow", "traces/writer.py", 'pa.OSFile(os.fsencode(path), "wb")', 'pa.OSFile(str(path), "wb")', STREAMS),
     Mutation("names: printed as they are", "nptrace/groups.py", 'sys.stdout.reconfigure(errors="backslashreplace")', "pass", STREAMS),
     Mutation("forms: --json beside another form", "nptrace/output.py", 'if as_json and form not in (None, "json"):', 'if as_json and form == "json":', STREAMS),
 ]

@@ -22,7 +22,7 @@ MUTATIONS = [
     Mutation("meshes: free-form surfaces are not said", "rtrace/scenes/meshes/obj.py", "elif key in _UNREAD:", "elif key in ():", FILES),
     Mutation("meshes: OBJ counts backwards from the end", "rtrace/scenes/meshes/obj.py", "np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))", "np.full(len(face_lines), len(vertex_lines))", "tests/rtrace/scenes/test_scene.py -k backwards"),
     Mutation("meshes: OFF with other coordinates is read", "rtrace/scenes/meshes/off.py", 'if keyword[1] or b"nOFF" in words[0]:', "if keyword[1]:", FILES),
-    Mutation("meshes: OFF's keyword in capitals only", OFF, "re.IGNORECASE", "0", BOTH),
+    Mutation("meshes: OFF's keyword in capitals only", OFF, "OFF(.*)\", re.IGNORECASE", "OFF(.*)\", 0", BOTH),
     Mutation("meshes: lines after the last OFF face are not said", "rtrace/scenes/meshes/off.py", "if n_rows > n_vertices + n_faces:", "if n_rows < 0:", FILES),
     Mutation("meshes: a binary PLY with CR loses a byte", "rtrace/scenes/meshes/ply.py", 'if first[0] == b"\\r" else', "if False else", f"{FILES} -k first_byte"),
     Mutation("meshes: end_header anywhere ends a PLY header", "rtrace/scenes/meshes/ply.py", 'if rows[-1] == [b"end_header"]:', 'if b"end_header" in rows[-1]:', BOTH),
