@@ -5,7 +5,7 @@
 
 from tests.mutations.mutation import Mutation
 
-TEXT, OBJ, OFF, PLY, STL = (f"rtrace/meshes/{name}.py" for name in ("text", "obj", "off", "ply", "stl"))
+TEXT, OBJ, OFF, PLY, STL = (f"rtrace/scenes/meshes/{name}.py" for name in ("text", "obj", "off", "ply", "stl"))
 GLTF, FILE, POLYGONS, MESH = "rtrace/scenes/meshes/gltf.py", "rtrace/scenes/meshes/gltf_file.py", "rtrace/scenes/meshes/polygons.py", "rtrace/scenes/mesh_file.py"
 FILES, CORPUS = "tests/rtrace/scenes/test_mesh_files.py", "tests/rtrace/scenes/test_mesh_corpus.py"
 BOTH = f"{FILES} {CORPUS}"
