@@ -50,7 +50,7 @@ class Tree(NamedTuple):
     max_level : int
         Level of the deepest node, root 0: also the most entries a traversal stack can hold.
     params : dict
-        What the builder was asked for, as written into a run's metadata.
+        What the builder was asked for, as written into a run's footer.
     """
 
     kind: str

@@ -211,7 +211,7 @@ def test_stretches_are_those_of_the_run(court, kind, order, batch, tmp_path):
     pieces = source.trace(cuts)
     assert np.array_equal(np.concatenate([p.nodes for p in pieces]), accesses["node"])
     assert np.array_equal(np.concatenate([p.kinds for p in pieces]), accesses["kind"])
-    assert sum(p.n_rays for p in pieces) == run.metadata["n_rays"]
+    assert sum(p.n_rays for p in pieces) == run.footer.n_rays
     alone = source.trace(cuts[1:3])[0]
     assert np.array_equal(alone.nodes, pieces[1].nodes) and alone.n_rays == pieces[1].n_rays
     places, groups, looked = source.scout(0)
