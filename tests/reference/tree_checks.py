@@ -13,7 +13,7 @@ from rtrace.traverse import Rays, make_rays, trace, trace_all
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.strays import SLACK, make_room
-from rtrace.trees.tree import LEAF, Tree, triangle_boxes
+from rtrace.trees.tree import LEAF_AXIS, Tree, triangle_boxes
 
 Builder = Callable[[np.ndarray], Tree]
 
@@ -96,7 +96,7 @@ def leaves(tree: Tree) -> Iterator[tuple[Cell, list[int]]]:
         node, (lower, upper), level = todo.pop()
         axis, count, split = metas[node] & 3, metas[node] >> 2, splits[node]
         deepest = max(deepest, level)
-        if axis == LEAF:
+        if axis == LEAF_AXIS:
             assert firsts[node] == first, "leaves fill prims in their own order"
             listed = prims[first : first + count]
             assert listed == sorted(set(listed)), f"a leaf lists {listed}"
@@ -126,7 +126,7 @@ def check_bvh(tree: Tree) -> None:
         node, level = todo.pop()
         deepest = max(deepest, level)
         at, count = children[node], metas[node] >> 2
-        if metas[node] & 3 == LEAF:
+        if metas[node] & 3 == LEAF_AXIS:
             listed = prims[at : at + count]
             assert listed and listed == sorted(set(listed)), f"a leaf lists {listed}"
             inner = [of_triangles[i] for i in listed]
