@@ -70,7 +70,7 @@ def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: A
 @cache
 def _builder_digest() -> str:
     """Return a digest of the sources that decide what a tree is, and how it is kept."""
-    here = ROOT / "rtrace"
+    here = ROOT / "rtrace" / "trees"
     return digest_of([here / "kdtree.py", here / "bvh.py"]) + hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
