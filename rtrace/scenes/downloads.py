@@ -1,7 +1,7 @@
 """Benchmark scenes over the network: an archive at its authors' site -> checked triangles in the user's cache.
 
-An archive is believed if its sha256 is one that was recorded, or if the mesh in it has exactly the triangles by which the
-scene is known. Nothing half-done stays: the archive lives in a temporary folder, the cached file is renamed into place.
+An archive is accepted if its sha256 is a recorded one, or if its mesh has exactly the scene's known triangles. Nothing
+incomplete stays: the archive is in a temporary folder, and the cached file is renamed into place.
 """
 
 import tarfile
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 Notify = Callable[[str], object]
 
 TIMEOUT = 10  # seconds without an answer; a study must not hang because a server does
-MAX_MEMBER_BYTES = 1 << 30  # the largest mesh is 27 MB; a longer member is not what was asked for
+MAX_MEMBER_BYTES = 1 << 30  # the largest mesh is 27 MB; a longer member is not the mesh
 
-#: What opening an archive raises: cut off, damaged, encrypted, of an unknown method.
+#: Errors of opening an archive: truncated, damaged, encrypted, of an unknown method.
 _BAD_ARCHIVE = (OSError, EOFError, RuntimeError, NotImplementedError, tarfile.TarError, zipfile.BadZipFile, zlib.error)
 
 # Some servers refuse Python's default agent.
@@ -36,12 +36,12 @@ _HEADERS = {"User-Agent": "nptrace (scene downloader; https tools for node-cache
 
 
 def cached_file(name: str, folder: Path) -> Path | None:
-    """Return the file in which an earlier download of a scene was kept, or None."""
+    """Return the cached file of an earlier download of a scene, or None."""
     return next(iter(sorted(folder.glob(f"{name}-*.npy"))), None)
 
 
 def load_cached(entry: "Entry", folder: Path, notify: Notify) -> Scene | None:
-    """Return the scene that an earlier download left in ``folder``, or None; a damaged file is said and deleted."""
+    """Return the scene that an earlier download left in ``folder``, or None; a damaged file is reported and deleted."""
     path = cached_file(entry.name, folder)
     if path is None:
         return None
@@ -52,14 +52,14 @@ def load_cached(entry: "Entry", folder: Path, notify: Notify) -> Scene | None:
             raise SceneError("its checksum is wrong")
         return scene
     except (OSError, ValueError, EOFError) as error:
-        notify(f"{path} is damaged ({error}); it is deleted")
+        notify(f"{path} is damaged ({error}) and was deleted")
         with suppress(OSError):
             path.unlink()
         return None
 
 
 def download(entry: "Entry", folder: Path, notify: Notify, base_url: str | None = None) -> Scene | None:
-    """Download a scene, keep its triangles in ``folder`` and return it; None, after saying why, if that cannot be done.
+    """Download a scene, keep its triangles in ``folder`` and return it; on failure, notify of the reason and return None.
 
     ``base_url`` (scheme and host) replaces that of the authors.
     """
@@ -70,7 +70,7 @@ def download(entry: "Entry", folder: Path, notify: Notify, base_url: str | None 
     assert entry.member is not None
     url = entry.url if base_url is None else base_url.rstrip("/") + urlsplit(entry.url).path
     notify(f"downloading {entry.title} from {url}. Licence: {entry.licence}. Credit: {entry.credit}.")
-    pooch.get_logger().setLevel("ERROR")  # it would tell the user what was just told
+    pooch.get_logger().setLevel("ERROR")  # it would repeat the notice
     try:
         with tempfile.TemporaryDirectory() as name:
             downloader = pooch.HTTPDownloader(headers=_HEADERS, timeout=TIMEOUT)
@@ -83,27 +83,27 @@ def download(entry: "Entry", folder: Path, notify: Notify, base_url: str | None 
         notify(f"{entry.name} could not be downloaded: {reason[:200]}")
         return None
     if sha256 not in entry.archives and scene.sha256 != entry.sha256:
-        notify(f"{entry.name} was not used: neither the archive (sha256 {sha256}) nor the mesh in it is one that is known")
+        notify(f"{entry.name} was not used: neither the archive (sha256 {sha256}) nor the mesh in it is known")
         return None
     try:
         _keep(scene, folder)
     except OSError as error:  # this costs a download next time, no more
-        notify(f"{entry.name} could not be kept in {folder}: {error}")
+        notify(f"{entry.name} could not be stored in {folder}: {error}")
     return scene
 
 
 def load_archive(archive: Path, member: str, *, strict: bool = False) -> Scene:
-    """Return the mesh in an archive of the user's own. Raises SceneError."""
+    """Return the mesh in one of the user's archives. Raises SceneError."""
     with tempfile.TemporaryDirectory() as name:
         try:
             mesh = _extract(archive, member, Path(name))
         except _BAD_ARCHIVE as error:
             raise SceneError(f"{archive}: cannot be unpacked ({error}); put the mesh itself beside it") from error
-        return load_mesh(mesh, strict=strict, fans=True)  # as everybody's counts of these scenes are made
+        return load_mesh(mesh, strict=strict, fans=True)  # as in published counts of these scenes
 
 
 def _extract(archive: Path, member: str, folder: Path) -> Path:
-    """Copy the one member that is wanted to ``folder``, under a name of our own; archive paths are never used."""
+    """Copy the wanted member to ``folder`` under a fixed name; archive paths are never used."""
     target = folder / f"mesh{Path(member).suffix}"
     wanted = Path(member).name
     if archive.name.endswith(".zip"):
