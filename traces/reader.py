@@ -1,4 +1,4 @@
-"""A run on disk -> its metadata and columns, or one sentence that says what is wrong with it."""
+"""A run on disk -> its metadata and columns, or one sentence that states the problem."""
 
 import hashlib
 import json
@@ -43,7 +43,7 @@ _SCHEMAS = {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}
 _FIELDS = {name: {field.name: field for field in schema} for name, schema in _SCHEMAS.items()}
 _FIELDS["nodes"] |= {field.name: field for field in (*SPLIT, *BOX)}
 
-#: What reading a damaged Parquet file raises.
+#: The exceptions that a damaged Parquet file raises.
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
 
@@ -68,13 +68,13 @@ class Run:
 
     @property
     def n_accesses(self) -> int:
-        """Rows of ``accesses.parquet``, pre-fetches included."""
+        """Rows of ``accesses.parquet``, prefetches included."""
         return int(self.metadata["n_accesses"])
 
     def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
         """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays.
 
-        The other columns of the contract are read too and all of them are checked: a value can be wrong only beside others.
+        The other columns of the contract are read and checked too: some errors show only in several columns together.
         """
         if table == "accesses":
             names = names or ACCESSES.names
@@ -96,7 +96,7 @@ class Run:
         file, path = self._files[table], self.path / f"{table}.parquet"
         try:
             read = file.read(columns=sorted(names))
-            if read.num_rows != file.metadata.num_rows:  # Parquet readers end quietly where a page is not where it should be
+            if read.num_rows != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
                 raise OSError(f"{read.num_rows} of {file.metadata.num_rows} rows can be read")
         except _UNREADABLE as e:
             raise _damaged(path, e) from e
@@ -109,9 +109,9 @@ class Run:
             tree = self.metadata["tree"]
             kind, node_bytes = str(tree["kind"]), int(tree["node_bytes"])
         except (KeyError, TypeError, ValueError, OverflowError) as e:
-            raise RunError(f"{self.path} says too little about its tree ({e} in its footer); render it again") from e
+            raise RunError(f"{self.path} has a footer without {e} of its tree; render it again") from e
         if kind not in ("kdtree", "bvh") or not 1 <= node_bytes <= MAX_NODE_BYTES:
-            raise RunError(f"{self.path} is of a {kind!r} of {node_bytes}-byte nodes; only kdtree and bvh are known")
+            raise RunError(f"{self.path} has a tree {kind!r} with {node_bytes}-byte nodes; only kdtree and bvh are known")
         return kind, node_bytes
 
     def batches(self, names: tuple[str, ...] = ("node", "kind")) -> Iterator[tuple[np.ndarray, ...]]:
@@ -128,7 +128,7 @@ class Run:
         ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
         allowed = kinds_allowed(self._plain("nodes", ["axis"])["axis"], self.tree[0])
         with ThreadPoolExecutor(1) as pool:
-            # Of the tree only this is needed here. The rest is checked meanwhile: for a large tree that takes as long as
+            # Only this part of the tree is needed here. The rest is checked meanwhile: for a large tree that takes as long as
             # reading the accesses of a small picture.
             checked = None if self._has_good_nodes else pool.submit(self.columns, "nodes", [])
             for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path):
@@ -137,7 +137,7 @@ class Run:
                     check_accesses(columns["node"], columns["kind"], allowed, path, row)
                 except RunError:
                     if checked is not None:
-                        checked.result()  # what is wrong with the tree comes first
+                        checked.result()  # report an error of the tree first
                     raise
                 if ends is not None:
                     check_ray_numbers(columns["ray"], ends, path, row)
@@ -155,14 +155,14 @@ def _batches(file: pq.ParquetFile, names: list[str], path: Path) -> Iterator[pa.
             for batch in file.iter_batches(ROW_GROUP, row_groups=[group], columns=names, use_threads=False):
                 n_read += batch.num_rows
                 yield batch
-        if n_read != file.metadata.num_rows:  # Parquet readers end quietly where a page is not where it should be
+        if n_read != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
             raise OSError(f"{n_read} of {file.metadata.num_rows} rows can be read")
     except _UNREADABLE as e:
         raise _damaged(path, e) from e
 
 
 def open_run(path: Path | str) -> Run:
-    """Open a run and check that it is whole: all files, one format version, one metadata, the stated row counts.
+    """Open a run and check that it is complete: all files, one format version, one metadata, the stated row counts.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def open_run(path: Path | str) -> Run:
             image = hashlib.sha256((path / "image.png").read_bytes()).hexdigest()
         except OSError as e:
             raise _damaged(path / "image.png", e) from e
-        if metadata.get("image_sha256", image) != image:  # runs of earlier versions do not say
+        if metadata.get("image_sha256", image) != image:  # earlier versions have no checksum
             raise RunError(f"{path / 'image.png'} is damaged (its checksum is wrong); render it again")
         run = Run(path, files, metadata)
         weakref.finalize(run, handles.pop_all().close)
@@ -189,7 +189,7 @@ def open_run(path: Path | str) -> Run:
 
 
 def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], dict[str, Any]]:
-    """Return the Parquet files of a run and what their footers say; ``handles`` closes them."""
+    """Return the Parquet files of a run and their footers' metadata; ``handles`` closes them."""
     files: dict[str, pq.ParquetFile] = {}
     schemas: dict[str, pa.Schema] = {}
     texts: set[bytes | None] = set()
