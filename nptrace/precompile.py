@@ -28,6 +28,9 @@ from rtrace.trees.tree_cache import TREES, build_tree
 from traces.din import export_din
 from traces.reader import open_run
 
+#: What each process runs, with the number of its part.
+PROGRAM = "from nptrace.precompile import compile_part; compile_part"
+
 
 def compile_all() -> int:
     """Compile every kernel of the commands that is not in the cache; return how many were compiled."""
@@ -36,7 +39,7 @@ def compile_all() -> int:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     children = [
         subprocess.Popen(
-            [sys.executable, "-P", "-c", f"import precompile; precompile.compile_part({part})"], env=environment, text=True,
+            [sys.executable, "-P", "-c", f"{PROGRAM}({part})"], env=environment, text=True,
             stdout=subprocess.PIPE, start_new_session=True,
         )
         for part in range(len(PARTS))

@@ -38,7 +38,7 @@ _SCHEMAS = {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}
 _FIELDS = {name: {field.name: field for field in schema} for name, schema in _SCHEMAS.items()}
 _FIELDS["nodes"] |= {field.name: field for field in (*SPLIT, *BOX)}
 
-#: What reading a damaged Parquet file raises.
+#: The exceptions that a damaged Parquet file raises.
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
 
@@ -69,7 +69,7 @@ class Run:
     def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
         """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays.
 
-        The other columns of the contract are read too and all of them are checked: a value can be wrong only beside others.
+        The other columns of the contract are read and checked too: some errors show only in several columns together.
         """
         if table == "accesses":
             names = names or ACCESSES.names
@@ -91,7 +91,7 @@ class Run:
         file, path = self._files[table], self.path / f"{table}.parquet"
         try:
             read = file.read(columns=sorted(names))
-            if read.num_rows != file.metadata.num_rows:  # Parquet readers end quietly where a page is not where it should be
+            if read.num_rows != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
                 raise OSError(f"{read.num_rows} of {file.metadata.num_rows} rows can be read")
         except _UNREADABLE as e:
             raise _damaged(path, e) from e
@@ -111,7 +111,7 @@ class Run:
         ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
         allowed = kinds_allowed(self._plain("nodes", ["axis"])["axis"], self.footer.tree.kind)
         with ThreadPoolExecutor(1) as pool:
-            # Of the tree only this is needed here. The rest is checked meanwhile: for a large tree that takes as long as
+            # Only this part of the tree is needed here. The rest is checked meanwhile: for a large tree that takes as long as
             # reading the accesses of a small picture.
             checked = None if self._has_good_nodes else pool.submit(self.columns, "nodes", [])
             for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path):
@@ -120,7 +120,7 @@ class Run:
                     check_accesses(columns["node"], columns["kind"], allowed, path, row)
                 except RunError:
                     if checked is not None:
-                        checked.result()  # what is wrong with the tree comes first
+                        checked.result()  # report an error of the tree first
                     raise
                 if ends is not None:
                     check_ray_numbers(columns["ray"], ends, path, row)
@@ -138,7 +138,7 @@ def _batches(file: pq.ParquetFile, names: list[str], path: Path) -> Iterator[pa.
             for batch in file.iter_batches(ROW_GROUP, row_groups=[group], columns=names, use_threads=False):
                 n_read += batch.num_rows
                 yield batch
-        if n_read != file.metadata.num_rows:  # Parquet readers end quietly where a page is not where it should be
+        if n_read != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
             raise OSError(f"{n_read} of {file.metadata.num_rows} rows can be read")
     except _UNREADABLE as e:
         raise _damaged(path, e) from e

@@ -1,6 +1,6 @@
-"""What every value of a run must keep, checked where it is read: columns of a Parquet file -> plain arrays, or one sentence.
+"""The rules for every value of a run, checked where it is read: columns of a Parquet file -> plain arrays, or one sentence.
 
-Kernels index with nodes, parents, levels and kinds and do not look; so nothing is handed on that was not checked here. A
+Kernels index with nodes, parents, levels and kinds without checking, so every value is checked here first. A
 sentence names the file, the column, the row (from 0) and the rule.
 """
 
@@ -18,7 +18,7 @@ from traces.format import LEAF, PREFETCH, PUSH, READ, SHADOW, RunError
 #: The axis of a leaf in ``nodes.parquet``.
 LEAF_AXIS = 3
 
-_LAST_KIND = 3  # PREFETCH; a number here because a kernel needs constants of its own
+_LAST_KIND = 3  # PREFETCH; a number here because a kernel needs constants of its module
 
 _OK, _NUMBER, _ROOT, _PARENT, _PAIR, _TWICE, _LEVEL, _AXIS, _INNER, _ADDRESS = range(10)
 
@@ -60,7 +60,7 @@ def plain(column: pa.ChunkedArray | pa.Array, field: pa.Field, path: Path, first
             middle = (low + high) // 2
             low, high = (low, middle) if _converted(column.slice(low, middle - low), field.type) is None else (middle, high)
         raise bad_value(path, field.name, first_row + low, repr(column[low].as_py()), f"a value is a {field.type}")
-    converted.flags.writeable = False  # as Arrow's own arrays: to Numba others are another type, compiled apart
+    converted.flags.writeable = False  # as Arrow's arrays: Numba would compile separate code for others
     return converted
 
 
@@ -86,9 +86,9 @@ def _converted(column: pa.ChunkedArray | pa.Array, wanted: pa.DataType) -> np.nd
 
 
 def check_nodes(columns: Mapping[str, np.ndarray], path: Path, node_bytes: int | None) -> None:
-    """Check the columns of ``nodes.parquet`` but split or boxes.
+    """Check the columns of ``nodes.parquet`` except split and boxes.
 
-    ``node_bytes`` is None where no address is asked for.
+    ``node_bytes`` is None where addresses are not read.
     """
     n = columns["node"].size
     if n % 2 == 0:
@@ -156,7 +156,7 @@ def check_accesses(nodes: np.ndarray, kinds: np.ndarray, allowed: np.ndarray, pa
     if node >= allowed.size:
         raise bad_value(path, "node", row, node, f"a node is one of the tree's, 0 to {allowed.size - 1}")
     if kind > PREFETCH:
-        raise bad_value(path, "kind", row, kind, "a kind is 0 (read), 1 (push), 2 (leaf) or 3 (pre-fetch)")
+        raise bad_value(path, "kind", row, kind, "a kind is 0 (read), 1 (push), 2 (leaf) or 3 (prefetch)")
     what = "a leaf" if allowed[node] >> LEAF & 1 else "a node with children"
     kinds_there = " or ".join(str(k) for k in range(4) if allowed[node] >> k & 1)
     raise bad_value(path, "kind", row, kind, f"{what}, as node {node} is, is accessed with kind {kinds_there}")
@@ -164,7 +164,7 @@ def check_accesses(nodes: np.ndarray, kinds: np.ndarray, allowed: np.ndarray, pa
 
 @kernel
 def first_bad_access(nodes, kinds, allowed):
-    """Return the first row whose node is none of the tree's, or whose kind its node may not have; the size if none."""
+    """Return the first row with a node outside the tree, or with a kind that its node cannot have; the size if none."""
     n = np.uint64(allowed.size)
     for i in range(np.uint64(nodes.size)):
         node = np.uint64(nodes[i])

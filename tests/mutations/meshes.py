@@ -33,7 +33,7 @@ MUTATIONS = [
     Mutation("meshes: STL beginning with solid is text", "rtrace/scenes/meshes/stl.py", ' and b"\\0" not in text', "", BOTH),
     Mutation("meshes: STL bytes after the triangles are not said", "rtrace/scenes/meshes/stl.py", "elif promised < len(data):", "elif promised < 0:", FILES),
     Mutation("meshes: STL without a count is refused", "rtrace/scenes/meshes/stl.py", "_UNKNOWN = (0, 0xFFFFFFFF)", "_UNKNOWN = ()", BOTH),
-    Mutation("meshes: STL's unended solid is not said", "rtrace/scenes/meshes/stl.py", "and may be cut off\"] if solid else []", "and may be cut off\"] if solid == b\"?\" else []", FILES),
+    Mutation("meshes: STL's unended solid is not said", "rtrace/scenes/meshes/stl.py", "and may be truncated\"] if solid else []", "and may be truncated\"] if solid == b\"?\" else []", FILES),
     Mutation("meshes: STL 'end solid' is no end", "rtrace/scenes/meshes/stl.py", 'or (key == b"end" and', 'or (key == b"ende" and', FILES),
     Mutation("meshes: STL vertices outside of loops", "rtrace/scenes/meshes/stl.py", "            if not in_loop:\n", "            if False:\n", FILES),
     Mutation("meshes: polygons are always fans", POLYGONS, "for k in np.flatnonzero(wrong)]", "for k in np.flatnonzero(wrong & False)]", BOTH),

@@ -12,7 +12,8 @@ from nptrace_base.jit import cache_folder
 ROOT = Path(__file__).resolve().parents[2]
 
 SIGNATURES = """
-import sys, precompile
+import sys
+from nptrace import precompile
 from numba.core.dispatcher import Dispatcher
 for part in precompile.PARTS:
     part()
@@ -25,7 +26,8 @@ for name, module in sorted(sys.modules.items()):
 """
 
 USE = """
-import sys, compiling, cli
+import sys, cli
+from nptrace_base import compiling
 from click.testing import CliRunner
 def run(group, *args):
     result = CliRunner().invoke(group, args)

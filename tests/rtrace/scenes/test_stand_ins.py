@@ -79,7 +79,7 @@ def test_a_bad_detail_is_refused(name, detail):
 
 
 def test_an_unknown_name_is_refused():
-    with pytest.raises(ValueError, match="'bunny' is not a built-in scene; take one of blob, room, nave, court"):
+    with pytest.raises(ValueError, match="'bunny' is not a built-in scene; choose one of blob, room, nave, court"):
         stand_in("bunny")
 
 
