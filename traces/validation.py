@@ -206,13 +206,13 @@ def are_all_allowed(nodes, kinds, allowed):
 
     Without a branch, because every access of every replay comes by: looking for the first bad row took 4 times as long.
     """
-    last = np.uint32(allowed.size - 1)
+    last, last_kind = np.uint32(allowed.size - 1), np.uint64(_LAST_KIND)
     highest, bits_of_kinds, is_allowed = np.uint32(0), np.uint64(0), np.uint64(1)
     for i in range(np.uint64(nodes.size)):
         highest = max(highest, nodes[i])
         bits_of_kinds |= np.uint64(kinds[i])
-        is_allowed &= np.uint64(allowed[min(nodes[i], last)]) >> np.uint64(kinds[i])
-    return highest <= last and bits_of_kinds <= _LAST_KIND and (is_allowed & np.uint64(1)) == 1
+        is_allowed &= np.uint64(allowed[min(nodes[i], last)]) >> (np.uint64(kinds[i]) & last_kind)
+    return highest <= last and bits_of_kinds <= last_kind and (is_allowed & np.uint64(1)) == 1
 
 
 def check_rays(columns: Mapping[str, np.ndarray], path: Path, metadata: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ MUTATIONS = [
     Mutation("values: addresses are not looked at", RD, 'self.tree[1] if "address" in columns else None', "None", VALUES),
     Mutation("values: the tree of a layout as stored is not checked", RD, 'self.columns("nodes", ["axis"])["axis"] if', 'self._plain("nodes", ["axis"])["axis"] if', VALUES),
     Mutation("values: a quick look finds every node good", CH, "    is_bad = False\n    for i in range(np.uint64(node.size)):", "    is_bad = False\n    for i in range(0):", VALUES),
-    Mutation("values: a quick look does not compare kinds", CH, " and bits_of_kinds <= _LAST_KIND", "", "tests/traces/test_access_check.py"),
+    Mutation("values: a quick look does not compare kinds", CH, " and bits_of_kinds <= last_kind", "", "tests/traces/test_access_check.py"),
     Mutation("values: a quick look lets a node one beyond by", CH, "return highest <= last and", "return highest <= last + 1 and", "tests/traces/test_access_check.py"),
     Mutation("values: a quick look lets every kind by", CH, "is_allowed &= np.uint64(allowed[", "is_allowed |= np.uint64(allowed[", "tests/traces/test_access_check.py"),
     Mutation("values: rows count from the batch", RD, "                row += read.num_rows\n", "", VALUES),
