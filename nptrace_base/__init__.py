@@ -1,1 +1,1 @@
-"""What both stages stand on: compiled kernels, files written atomically, text tables, errors. Imports nothing of ours."""
+"""What both stages share: compiled kernels, atomic output, text tables, errors. Imports nothing of ours."""
