@@ -1,4 +1,4 @@
-"""The one writer of output files: atomic for plain files, whoever kills it; a copy at the end for FIFOs and devices."""
+"""The one writer of output files: atomic for plain files, even if the program is killed; copied at the end to others."""
 
 import glob
 import os
