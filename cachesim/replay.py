@@ -32,7 +32,7 @@ from cachesim.layout import Layout
 from cachesim.next_use import NextUse
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.result import Result
-from cachesim.source import RunSource, Source, demand_only, open_source
+from cachesim.source import Source, as_source, demand_only
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 from traces.reader import Run
@@ -253,10 +253,7 @@ def replay(
     """
     if isinstance(prefetch, str):
         prefetch = parse_prefetch(prefetch)
-    if isinstance(source, Run):
-        source = RunSource(source, layout)
-    elif isinstance(source, (str, Path)):
-        source = open_source(source, layout)
+    source = as_source(source, layout)
     jobs = [_Job(config, prefetch, three_c=three_c) for config in configs]
     is_filtered = is_filtered and not three_c and not prefetch.trigger
     groups = _groups(source, jobs, prefetch, is_filtered=is_filtered)

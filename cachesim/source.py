@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -46,23 +46,11 @@ def open_source(path: Path | str, layout: Layout | str = "stored") -> Source:
     return RunSource(open_run(path), layout)
 
 
-class Footer(NamedTuple):
-    """The part of a run's metadata that a replay needs."""
-
-    tree: str
-    node_bytes: int
-    scene: str
-    is_stand_in: bool
-
-
-def read_footer(run: Run) -> Footer:
-    """Return a run's tree and scene; a ValueError when its footer lacks one of them."""
-    kind, node_bytes = run.tree
-    try:
-        scene = run.metadata["scene"]
-        return Footer(kind, node_bytes, str(scene["name"]).lower(), bool(scene["stand_in"]))
-    except (KeyError, TypeError, ValueError) as e:
-        raise NptraceError(f"{run.path} has a footer without {e} of its scene; render it again") from e
+def as_source(source: "Source | Run | Path | str", layout: Layout | str = "stored") -> Source:
+    """Return what can be replayed as a source; ``layout`` is that of a run or path, a source has its own."""
+    if isinstance(source, Run):
+        return RunSource(source, layout)
+    return open_source(source, layout) if isinstance(source, (str, Path)) else source
 
 
 class RunSource:
@@ -70,12 +58,11 @@ class RunSource:
 
     def __init__(self, run: Run, layout: Layout | str = "stored") -> None:
         self.layout = parse_layout(layout) if isinstance(layout, str) else layout
-        facts = read_footer(run)
         self.run = run
-        self.name = run.name + (" (stand-in)" if facts.is_stand_in else "")
-        self.n_rays: int | None = int(run.metadata["n_rays"])
+        self.name = run.name + (" (stand-in)" if run.footer.scene.stand_in else "")
+        self.n_rays: int | None = run.footer.n_rays
         self.n_events: int | None = run.n_accesses
-        self._is_kd, self._node_bytes = facts.tree == "kdtree", facts.node_bytes
+        self._is_kd, self._node_bytes = run.footer.tree.kind == "kdtree", run.footer.tree.node_bytes
         if self.layout.name == "stored":
             self._addresses = stored_addresses(run.n_nodes, self._node_bytes, self.layout)
         else:

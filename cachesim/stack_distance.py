@@ -19,9 +19,10 @@ import numpy as np
 from cachesim.access import PREFETCH
 from cachesim.layout import Layout
 from cachesim.prefetch import Prefetch, parse_prefetch
-from cachesim.source import Source, demand_only, open_source
+from cachesim.source import Source, as_source, demand_only
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
+from traces.reader import Run
 
 ZERO, ONE, TWO, SIX, TWELVE, SIXTY_THREE = (np.uint64(n) for n in (0, 1, 2, 6, 12, 63))
 ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -86,21 +87,25 @@ class StackDistances:
 
 
 def stack_distances(
-    source: Source | Path | str, line_bytes: int = 32, *, prefetch: Prefetch | str = "traced", layout: Layout | str = "stored"
+    source: Source | Run | Path | str,
+    line_bytes: int = 32,
+    *,
+    prefetch: Prefetch | str = "traced",
+    layout: Layout | str = "stored",
 ) -> tuple[StackDistances, StackDistances]:
     """Return the stack distances of a trace with its pre-fetches and of its demand accesses alone (B and A of the paper).
 
     Parameters
     ----------
-    source : Source or path
-        A path is a run's directory or a DineroIV trace. ``layout`` is that of a path.
+    source : Source, Run or path
+        A path is a run's directory or a DineroIV trace. ``layout`` is that of a Run or path.
     line_bytes : int
     prefetch : Prefetch or str
         Any policy whose requests do not depend on the cache.
     """
     prefetch = parse_prefetch(prefetch) if isinstance(prefetch, str) else prefetch
     check_one_pass(prefetch)
-    source = open_source(source, layout) if isinstance(source, (str, Path)) else source
+    source = as_source(source, layout)
     lines_of = source.lines(line_bytes, 0)
     everything, demand = StackDistances(), StackDistances()
     for events, labels in source.events(prefetch):

@@ -27,7 +27,7 @@ from cachesim.config import CacheConfig
 from cachesim.layout import Layout
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.result import ratio
-from cachesim.source import RunSource, Source, demand_only, open_source
+from cachesim.source import Source, as_source, demand_only
 from cachesim.stack_distance import StackDistances, check_one_pass
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
@@ -109,10 +109,7 @@ def sweep(
     check_one_pass(prefetch)
     for config in configs:
         check(config)
-    if isinstance(source, Run):
-        source = RunSource(source, layout)
-    elif isinstance(source, (str, Path)):
-        source = open_source(source, layout)
+    source = as_source(source, layout)
     by_line: dict[int, list[CacheConfig]] = {}
     for config in configs:
         by_line.setdefault(config.line_bytes, []).append(config)

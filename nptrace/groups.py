@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from nptrace import __version__
 from nptrace_base import compiling
 from nptrace_base.errors import NptraceError
 
@@ -49,7 +50,15 @@ class BadInput(click.ClickException):
 
 
 class Commands(click.Group):
-    """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback."""
+    """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback.
+
+    It and each of its commands have ``--version``, ``-h`` and ``--help``.
+    """
+
+    def __init__(self, name: str, commands: list[click.Command], **kwargs: Any) -> None:
+        super().__init__(name, commands, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
+        for command in (self, *commands):
+            click.version_option(__version__, prog_name=name, message="%(prog)s %(version)s")(command)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run as a program: a message announces compiling, Ctrl-C ends it quietly."""

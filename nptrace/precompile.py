@@ -23,7 +23,7 @@ from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import Scene
 from rtrace.scenes.stand_ins import stand_in
-from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF, Tree, node_table
+from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, node_table
 from rtrace.trees.tree_cache import TREES, build_tree
 from traces.din import export_din
 from traces.reader import open_run
@@ -129,7 +129,7 @@ def _smallest_tree(scene: Scene, kind: str) -> Tree:
     """Return a root over two leaves that both list all triangles; it needs no builder, so none has to be compiled for it."""
     n = len(scene.triangles)
     nodes = np.zeros(3, KD_NODE if kind == "kdtree" else BVH_NODE)
-    nodes["meta"] = 0, n << 2 | LEAF, n << 2 | LEAF
+    nodes["meta"] = 0, n << 2 | LEAF_AXIS, n << 2 | LEAF_AXIS
     if kind == "kdtree":
         nodes["first"] = 0, 0, n
         nodes["split"][0], nodes["meta"][0] = scene.bounds[:, 0].mean(), 1 << 2

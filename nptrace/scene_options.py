@@ -1,7 +1,9 @@
 """Options that choose scenes, trees and rays, shared by the commands that trace."""
 
+import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,6 +12,7 @@ from nptrace.groups import BadInput
 from nptrace.options import threads_option
 
 if TYPE_CHECKING:
+    from rtrace.render import Shooting
     from rtrace.scenes.scene import Scene
 
 
@@ -23,18 +26,22 @@ def scene_options(command: Any) -> Any:
     return command
 
 
-def load_scenes(names: Sequence[str], strict: bool, offline: bool) -> "list[Scene]":
-    """Load scenes by name or file; print on stderr what a user should know about each."""
+def load_scenes(
+    names: Sequence[str], strict: bool, offline: bool, camera: str | None = None, light: str | None = None
+) -> "list[Scene]":
+    """Load scenes by name or file, seen as --camera and --light say; notes on each go to stderr."""
+    from rtrace.camera import parse_camera, parse_point
     from rtrace.scenes.catalog import load_scene
-    from rtrace.scenes.scene import dropped_sentence
+    from rtrace.scenes.scene import dropped_sentence, seen_from
 
+    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
     scenes = []
     for name in names:
         scene = load_scene(name, strict=strict, download=not offline, notify=lambda text: click.echo(text, err=True))
         for sentence in (dropped_sentence(scene), *scene.notes):
             if sentence:
                 click.echo(sentence, err=True)
-        scenes.append(scene)
+        scenes.append(seen_from(scene, eye, lamp))
     return scenes
 
 
@@ -63,6 +70,32 @@ def parse_kd(text: str) -> dict[str, Any]:
         except ValueError:
             raise BadInput(f"--kd: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
     return params
+
+
+def tree_params(kd_text: str, bvh_builder: str) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the builder of each kind of tree, from --kd and --bvh."""
+    return {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The values of ``picture_options``: the rays and the trees."""
+
+    pixels: str = "2048x2048"
+    order: str = "scanline"
+    batch: int = 1
+    kd_text: str = ""
+    bvh_builder: str = "sweep"
+    seed: int = 0
+    exact_below: int = 100_000_000
+    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+
+    def shooting(self) -> "Shooting":
+        """Return the rays; the seed is also that of the sample, which must not change a run of another order."""
+        from rtrace.camera import parse_size
+        from rtrace.render import Shooting
+
+        return Shooting(*parse_size(self.pixels), self.order, self.batch, self.seed if self.order == "random" else 0)
 
 
 SAME = "As in nptrace render."

@@ -115,10 +115,10 @@ def fit_camera(bounds: np.ndarray) -> Camera:
     distance = np.max(sideways / math.tan(math.radians(DEFAULT_FOV) / 2) - corners @ forward) * _FIT_MARGIN
     # A single point or a tiny scene far from the origin needs a distance that survives the rounding of the eye.
     distance = max(distance, 1e-3 * np.abs(middle).max(), 1e-30) if np.any(upper) or np.any(lower) else 1.0
-    # At the limit of float32 the camera cannot be far enough away to see everything.
-    there = np.abs(forward) > 0
-    distance = min(distance, np.min((FARTHEST + np.sign(forward) * middle)[there] / np.abs(forward)[there]) * (1 - 1e-9))
-    return Camera(_point(middle - distance * forward), _point(middle))
+    # At the end of float32 the camera stands on the other side of the box, or where it does not see all of it.
+    eye = middle - distance * forward
+    eye = np.clip(np.where(np.abs(eye) > FARTHEST, middle + distance * forward, eye), -FARTHEST, FARTHEST)
+    return Camera(_point(eye), _point(middle))
 
 
 def fit_light(camera: Camera, bounds: np.ndarray) -> Point:

@@ -4,16 +4,17 @@ The positions of a run are its pixels in shooting order; with all primary rays f
 for the shadow rays. Stretches of positions, joined in order, give the accesses of ``render`` one by one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from rtrace.camera import pixel_order
-from rtrace.chunk import Chunk, shoot
+from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
 from rtrace.render import Shooting, command_of
 from rtrace.scenes.scene import Scene
+from rtrace.traverse import NoRoomError
 from rtrace.trees.tree import Tree, node_table
 from traces.format import PRIMARY, SHADOW
 
@@ -24,7 +25,7 @@ _SCOUT_SIDE, _SCOUT_STEPS = 128, (8, 32)  # scout rays along a side, and pixels 
 _LEAST_GROUP = 32  # scout rays of a group
 
 
-class Stretch(NamedTuple):
+class RayAccesses(NamedTuple):
     """Accesses in the order of the run, and the number of rays that made them."""
 
     nodes: np.ndarray  # (n,) uint32
@@ -66,36 +67,35 @@ class RayUnits:
         table = node_table(tree)
         self.nodes: Mapping[str, np.ndarray] = {name: table[name] for name in ("parent", "level", "n_prims")}
 
-    def trace(self, cuts: Sequence[int]) -> list[Stretch]:
+    def trace(self, cuts: Sequence[int]) -> list[RayAccesses]:
         """Return the accesses of the positions from each of ``cuts`` up to the next; they ascend."""
         if self._shooting.batch:
-            return _cut(self._chunk(self._pixels[cuts[0] : cuts[-1]], self._shooting.batch, None), cuts)
+            return _cut(self._chunks(self._pixels[cuts[0] : cuts[-1]], self._shooting.batch, None), cuts)
         return [self._of_passes(start, stop) for start, stop in pairwise(cuts)]
 
-    def _of_passes(self, start: int, stop: int) -> Stretch:
+    def _of_passes(self, start: int, stop: int) -> RayAccesses:
         """Return a stretch of a run with all primary rays first."""
-        pieces = [Stretch(np.empty(0, np.uint32), np.empty(0, np.uint8), 0)]
+        chunks: list[Chunk] = []
         for which, first in ((PRIMARY, 0), (SHADOW, self._n_pixels)):
             low, high = max(start - first, 0), min(stop - first, self._n_pixels)
             if low < high:
-                pieces.append(_whole(self._chunk(self._pixels[low:high], high - low, which)))
-        nodes, kinds, n_rays = zip(*pieces, strict=True)
-        return Stretch(np.concatenate(nodes), np.concatenate(kinds), sum(n_rays))
+                chunks += self._chunks(self._pixels[low:high], high - low, which)
+        return _whole(chunks)
 
     def probe(self, n: int, seed: int) -> float:
         """Return the mean number of accesses, prefetches included, of a position, from ``n`` random pixels."""
         chosen = np.sort(np.random.default_rng(seed).integers(self._n_pixels, size=n))
-        chunk = self._chunk(self._pixels[chosen], 1, None)
-        return len(chunk.accesses["node"]) / n * self._n_pixels / self.n_positions
+        n_accesses = sum(len(chunk.accesses["node"]) for chunk in self._chunks(self._pixels[chosen], 1, None))
+        return n_accesses / n * self._n_pixels / self.n_positions
 
-    def scout(self, seed: int) -> tuple[np.ndarray, list[Stretch], np.ndarray]:
+    def scout(self, seed: int) -> tuple[np.ndarray, list[RayAccesses], np.ndarray]:
         """Return the rays of a lattice of pixels, in groups along the run.
 
         Returns
         -------
         places : (g,) float64
             Position in the run of the middle of every group, ascending.
-        groups : list of Stretch
+        groups : list of RayAccesses
         looked : (k,) int64
             Positions traced.
         """
@@ -110,30 +110,63 @@ class RayUnits:
         places = np.array([at[low:high].mean() for low, high in pairwise(cuts)])
         pixels = self._pixels[at]
         if self._shooting.batch:
-            return places, _cut(self._chunk(pixels, 1, None), cuts), at
+            return places, _cut(self._chunks(pixels, 1, None), cuts), at
         groups = [
-            _whole(self._chunk(pixels[low:high], high - low, which))
+            _whole(self._chunks(pixels[low:high], high - low, which))
             for which in (PRIMARY, SHADOW)
             for low, high in pairwise(cuts)
         ]
         return np.concatenate([places, places + self._n_pixels]), groups, np.concatenate([at, at + self._n_pixels])
 
-    def _chunk(self, pixels: np.ndarray, batch: int, which: int | None) -> Chunk:
-        return shoot(self._tree, self._frame, self._light, pixels, self._shooting.width, batch, which)
+    def _chunks(self, pixels: np.ndarray, batch: int, which: int | None) -> Iterator[Chunk]:
+        """Yield the chunks of pixels: one, or as many as ``MOST_EVENTS`` takes, as when rendering."""
+        waiting = [(0, len(pixels), which)]
+        while waiting:
+            start, stop, pass_ = waiting.pop()
+            given = self._tree, self._frame, self._light, pixels[start:stop], self._shooting.width, batch
+            try:
+                yield shoot(*given, pass_, MOST_EVENTS)
+            except NoRoomError:
+                waiting += reversed(smaller_pieces(start, stop, batch, pass_))
 
 
-def _whole(chunk: Chunk) -> Stretch:
-    return Stretch(chunk.accesses["node"], chunk.accesses["kind"], len(chunk.rays["ray"]))
+def _whole(chunks: Iterable[Chunk]) -> RayAccesses:
+    """Join chunks; the rest of their columns is let go one chunk after the other."""
+    nodes, kinds, n_rays = np.empty(0, np.uint32), np.empty(0, np.uint8), 0
+    for chunk in chunks:
+        nodes, kinds = _joined(nodes, chunk.accesses["node"]), _joined(kinds, chunk.accesses["kind"])
+        n_rays += len(chunk.rays["ray"])
+    return RayAccesses(nodes, kinds, n_rays)
 
 
-def _cut(chunk: Chunk, cuts: Sequence[int]) -> list[Stretch]:
-    """Cut a chunk at pixels; one call takes less time than a call for each piece."""
-    nodes, kinds, n_rays = _whole(chunk)
+def _joined(array: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """Return an array with another behind it: in its own memory, because a join of all at the end takes all of it twice."""
+    n = array.size
+    if not n:
+        return more
+    if not array.flags.owndata:
+        array = array.copy()  # the first of several
+    array.resize(n + more.size, refcheck=False)
+    array[n:] = more
+    return array
+
+
+def _cut(chunks: Iterable[Chunk], cuts: Sequence[int]) -> list[RayAccesses]:
+    """Cut chunks at pixels; tracing them at once takes less time than one call for each piece."""
+    types, counts = [np.empty(0, np.uint8)], [np.zeros(1, np.uint32)]
+
+    def seen() -> Iterator[Chunk]:
+        for chunk in chunks:
+            types.append(chunk.rays["type"])
+            counts.append(chunk.rays["count"])
+            yield chunk
+
+    nodes, kinds, n_rays = _whole(seen())
     # A cut lies before a primary ray; behind the last one there is none.
-    ray_at = np.append(np.flatnonzero(chunk.rays["type"] == PRIMARY), n_rays)[np.subtract(cuts, cuts[0])]
-    row_at = np.append(chunk.rays["first"].astype(np.int64), len(nodes))[ray_at]
+    ray_at = np.append(np.flatnonzero(np.concatenate(types) == PRIMARY), n_rays)[np.subtract(cuts, cuts[0])]
+    row_at = np.cumsum(np.concatenate(counts), dtype=np.int64)[ray_at]
     return [
-        Stretch(nodes[low:high], kinds[low:high], int(last - first))
+        RayAccesses(nodes[low:high], kinds[low:high], int(last - first))
         for (low, high), (first, last) in zip(pairwise(row_at), pairwise(ray_at), strict=True)
     ]
 

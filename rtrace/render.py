@@ -24,6 +24,7 @@ from rtrace.scenes.scene import Scene
 from rtrace.traverse import NoRoomError
 from rtrace.trees.tree import Tree, node_table
 from rtrace.trees.tree_cache import cached_tree
+from traces.footer import CameraFacts, Footer, SceneFacts, TreeFacts
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
 from traces.writer import RunWriter, refuse_other
 
@@ -157,26 +158,17 @@ def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
     return shlex.join(words)
 
 
-def metadata(scene: Scene, tree: Tree, shooting: Shooting, tool_version: str) -> dict[str, Any]:
-    """Return the metadata of a run's footers: everything that decides its bytes, and nothing else."""
-    return {
-        "tool_version": tool_version,
-        "command": command_of(scene, tree, shooting),
-        "scene": {
-            "name": scene.name,
-            "label": scene.label,
-            "source": scene.source,
-            "sha256": scene.sha256,
-            "n_triangles": len(scene.triangles),
-            "stand_in": scene.stand_in,
-        },
-        "camera": asdict(scene.camera),
-        "light": list(scene.light),
+def footer_of(scene: Scene, tree: Tree, shooting: Shooting, tool_version: str) -> Footer:
+    """Return the footer of a run: everything that decides its bytes, and nothing else."""
+    return Footer(
+        tool_version=tool_version,
+        command=command_of(scene, tree, shooting),
+        scene=SceneFacts(scene.name, scene.label, scene.source, scene.sha256, len(scene.triangles), scene.stand_in),
+        camera=CameraFacts(**asdict(scene.camera)),
+        light=scene.light,
         **asdict(shooting),
-        "tree": {"kind": tree.kind, "node_bytes": tree.nodes.dtype.itemsize, **tree.params},
-        "layout": "as stored",
-        "prefetch": {"policy": "stack", "budget": "unlimited"},
-    }
+        tree=TreeFacts(tree.kind, tree.nodes.dtype.itemsize, tree.params),
+    )
 
 
 def render(
@@ -199,7 +191,7 @@ def render(
     fields = SPLIT if tree.kind == "kdtree" else BOX
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
     n_rays = n_accesses = n_prefetches = n_shadow = n_hits = n_shadowed = 0
-    with RunWriter(path, metadata(scene, tree, shooting, tool_version), fields) as run:
+    with RunWriter(path, footer_of(scene, tree, shooting, tool_version), fields) as run:
         run.append("nodes", partial(node_table, tree))
         for chunk in chunks(tree, scene, shooting, threads):
             chunk.rays["ray"] += np.uint32(n_rays)
@@ -256,7 +248,7 @@ def render_all(
         jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             if path.exists() and not overwrite:
-                refuse_other(path, metadata(scene, tree.result(), shooting, tool_version))
+                refuse_other(path, footer_of(scene, tree.result(), shooting, tool_version))
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             yield render(scene, tree.result(), shooting, path, threads=threads, tool_version=tool_version, progress=progress)
 

@@ -272,7 +272,7 @@ def open_and_replay(path: Path) -> None:
     run = open_run(path)
     for name in ("rays", "nodes"):
         for column in run.columns(name).values():
-            assert len(column) == run.metadata[f"n_{name}"]
+            assert len(column) == getattr(run.footer, f"n_{name}")
     assert sum(len(nodes) for nodes, _ in run.batches()) == run.n_accesses
     for prefetch in ("traced", "stack:budget=2"):
         replay(run, [CacheConfig(256, 2, 32)], prefetch=prefetch, threads=1)

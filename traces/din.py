@@ -266,7 +266,7 @@ def export_din(
         raise DinError(f"{fmt!r} is not a format of a DineroIV trace; choose text or binary")
     if prefetch not in PREFETCH_LABELS:
         raise DinError(f"{prefetch!r} is not an access type for prefetches; choose one of {', '.join(PREFETCH_LABELS)}")
-    _, node_bytes = run.tree
+    node_bytes = run.footer.tree.node_bytes
     if addresses is None:
         addresses = run.columns("nodes", ["address"])["address"]
     highest = int(addresses.max()) + node_bytes

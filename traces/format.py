@@ -8,7 +8,7 @@ A run is one directory with four files (``traces/README.md`` describes every col
     image.png          the picture that was traced
 
 Node *numbers* are stored, not addresses: the address is chosen at replay. The footer of each Parquet file has the same
-metadata under the key ``nptrace``, without a time stamp, so the same command gives the same bytes.
+text under the key ``nptrace`` (``footer.py``), without a time stamp, so the same command gives the same bytes.
 """
 
 import os

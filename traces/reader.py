@@ -1,23 +1,21 @@
-"""A run on disk -> its metadata and columns, or one sentence that states the problem."""
+"""A run on disk -> its footer and columns, or one sentence that says what is wrong with it."""
 
 import hashlib
-import json
 import weakref
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from traces.footer import Footer, parse_footer
 from traces.format import (
     ACCESSES,
     BOX,
     FILES,
-    FORMAT_VERSION,
     METADATA_KEY,
     NODES,
     RAYS,
@@ -36,9 +34,6 @@ from traces.validation import (
     plain,
 )
 
-#: Bytes that a node may have: with fewer than 2^32 nodes no address overflows.
-MAX_NODE_BYTES = 1 << 20
-
 _SCHEMAS = {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}
 _FIELDS = {name: {field.name: field for field in schema} for name, schema in _SCHEMAS.items()}
 _FIELDS["nodes"] |= {field.name: field for field in (*SPLIT, *BOX)}
@@ -48,11 +43,11 @@ _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.Ar
 
 
 class Run:
-    """A complete run, opened for reading. ``metadata`` is the footer's JSON; arrays are read, and checked, when asked for."""
+    """A complete run, opened for reading: a ``Footer``, and arrays that are read, and checked, when asked for."""
 
-    def __init__(self, path: Path, files: dict[str, pq.ParquetFile], metadata: dict[str, Any]) -> None:
+    def __init__(self, path: Path, files: dict[str, pq.ParquetFile], footer: Footer) -> None:
         self.path = path
-        self.metadata = metadata
+        self.footer = footer
         self._files = files
         self._has_good_nodes = False
 
@@ -64,12 +59,12 @@ class Run:
     @property
     def n_nodes(self) -> int:
         """Rows of ``nodes.parquet``."""
-        return int(self.metadata["n_nodes"])
+        return self.footer.n_nodes
 
     @property
     def n_accesses(self) -> int:
         """Rows of ``accesses.parquet``, prefetches included."""
-        return int(self.metadata["n_accesses"])
+        return self.footer.n_accesses
 
     def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
         """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays.
@@ -85,9 +80,9 @@ class Run:
             names = [name for name in self._files[table].schema_arrow.names if name in _FIELDS[table]]
         columns = self._plain(table, {*_SCHEMAS[table].names, *names} - ({"address"} - {*names}))
         if table == "rays":
-            check_rays(columns, self.path / "rays.parquet", self.metadata)
+            check_rays(columns, self.path / "rays.parquet", self.footer)
         else:
-            check_nodes(columns, self.path / "nodes.parquet", self.tree[1] if "address" in columns else None)
+            check_nodes(columns, self.path / "nodes.parquet", self.footer.tree.node_bytes if "address" in columns else None)
             self._has_good_nodes = True
         return {name: columns[name] for name in names}
 
@@ -102,18 +97,6 @@ class Run:
             raise _damaged(path, e) from e
         return {name: plain(read.column(name), _FIELDS[table][name], path) for name in read.column_names}
 
-    @property
-    def tree(self) -> tuple[str, int]:
-        """The kind of the tree, ``"kdtree"`` or ``"bvh"``, and the bytes of a node."""
-        try:
-            tree = self.metadata["tree"]
-            kind, node_bytes = str(tree["kind"]), int(tree["node_bytes"])
-        except (KeyError, TypeError, ValueError, OverflowError) as e:
-            raise RunError(f"{self.path} has a footer without {e} of its tree; render it again") from e
-        if kind not in ("kdtree", "bvh") or not 1 <= node_bytes <= MAX_NODE_BYTES:
-            raise RunError(f"{self.path} has a tree {kind!r} with {node_bytes}-byte nodes; only kdtree and bvh are known")
-        return kind, node_bytes
-
     def batches(self, names: tuple[str, ...] = ("node", "kind")) -> Iterator[tuple[np.ndarray, ...]]:
         """Yield the named columns of ``accesses``, checked, up to a row group at a time; the next batch is read meanwhile."""
         reading = self._checked(names)
@@ -126,7 +109,7 @@ class Run:
     def _checked(self, names: tuple[str, ...]) -> Iterator[tuple[np.ndarray, ...]]:
         path, row = self.path / "accesses.parquet", 0
         ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
-        allowed = kinds_allowed(self._plain("nodes", ["axis"])["axis"], self.tree[0])
+        allowed = kinds_allowed(self._plain("nodes", ["axis"])["axis"], self.footer.tree.kind)
         with ThreadPoolExecutor(1) as pool:
             # Only this part of the tree is needed here. The rest is checked meanwhile: for a large tree that takes as long as
             # reading the accesses of a small picture.
@@ -162,7 +145,7 @@ def _batches(file: pq.ParquetFile, names: list[str], path: Path) -> Iterator[pa.
 
 
 def open_run(path: Path | str) -> Run:
-    """Open a run and check that it is complete: all files, one format version, one metadata, the stated row counts.
+    """Open a run and check that it is whole: all files, one format version, one footer, the stated row counts.
 
     Raises
     ------
@@ -176,20 +159,20 @@ def open_run(path: Path | str) -> Run:
     if missing:
         raise RunError(f"{path} is not a complete run: {', '.join(missing)} missing; render it again")
     with ExitStack() as handles:
-        files, metadata = _open_files(path, handles)
+        files, footer = _open_files(path, handles)
         try:
             image = hashlib.sha256((path / "image.png").read_bytes()).hexdigest()
         except OSError as e:
             raise _damaged(path / "image.png", e) from e
-        if metadata.get("image_sha256", image) != image:  # earlier versions have no checksum
+        if footer.image_sha256 not in (image, None):  # earlier versions have no checksum
             raise RunError(f"{path / 'image.png'} is damaged (its checksum is wrong); render it again")
-        run = Run(path, files, metadata)
+        run = Run(path, files, footer)
         weakref.finalize(run, handles.pop_all().close)
     return run
 
 
-def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], dict[str, Any]]:
-    """Return the Parquet files of a run and their footers' metadata; ``handles`` closes them."""
+def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], Footer]:
+    """Return the Parquet files of a run and their footer; ``handles`` closes them."""
     files: dict[str, pq.ParquetFile] = {}
     schemas: dict[str, pa.Schema] = {}
     texts: set[bytes | None] = set()
@@ -206,21 +189,15 @@ def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFil
         raise RunError(f"{path} was not written by nptrace: a Parquet footer has no '{METADATA_KEY.decode()}' entry")
     if len(texts) > 1:
         raise RunError(f"{path} mixes the files of different runs; render it again")
-    try:
-        metadata = json.loads(texts.pop() or b"")
-        version = metadata["format_version"]
-        promised = {name: int(metadata[f"n_{name}"]) for name in files}
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as e:
-        raise _damaged(path, e) from e
-    if version != FORMAT_VERSION:
-        raise RunError(f"{path} has format version {version}, this program reads {FORMAT_VERSION}; render it again")
+    footer = parse_footer(texts.pop() or b"", path)
     for name, file in files.items():
         _check_schema(path / f"{name}.parquet", schemas[name], name)
-        if file.metadata.num_rows != promised[name]:
+        promised = getattr(footer, f"n_{name}")
+        if file.metadata.num_rows != promised:
             raise RunError(
-                f"{path / name}.parquet has {file.metadata.num_rows} rows, its footer says {promised[name]}; render it again"
+                f"{path / name}.parquet has {file.metadata.num_rows} rows, its footer says {promised}; render it again"
             )
-    return files, metadata | {f"n_{name}": n for name, n in promised.items()}
+    return files, footer
 
 
 def _check_schema(file: Path, found: pa.Schema, table: str) -> None:

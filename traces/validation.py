@@ -6,13 +6,13 @@ sentence names the file, the column, the row (from 0) and the rule.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from nptrace_base.jit import kernel
+from traces.footer import Footer
 from traces.format import LEAF, PREFETCH, PUSH, READ, SHADOW, RunError
 
 #: The axis of a leaf in ``nodes.parquet``.
@@ -173,13 +173,11 @@ def first_bad_access(nodes, kinds, allowed):
     return np.uint64(nodes.size)
 
 
-def check_rays(columns: Mapping[str, np.ndarray], path: Path, metadata: Mapping[str, Any]) -> None:
-    """Check the columns of ``rays.parquet``; ``metadata`` has the sizes that limit them."""
+def check_rays(columns: Mapping[str, np.ndarray], path: Path, footer: Footer) -> None:
+    """Check the columns of ``rays.parquet``; ``footer`` has the sizes they must keep to."""
     n, first, count = columns["ray"].size, columns["first"], columns["count"].astype(np.uint64)
     ends = np.cumsum(count, dtype=np.uint64)
-    scene = metadata.get("scene")
-    n_triangles = scene.get("n_triangles") if isinstance(scene, dict) else None
-    limits = {"x": metadata.get("width"), "y": metadata.get("height"), "prim": n_triangles}
+    limits = {"x": footer.width, "y": footer.height, "prim": footer.scene.n_triangles}
     rules = [
         ("ray", columns["ray"] != np.arange(n), "a ray's number is its row"),
         ("type", columns["type"] > SHADOW, "a type is 0 (primary) or 1 (shadow)"),
@@ -188,17 +186,14 @@ def check_rays(columns: Mapping[str, np.ndarray], path: Path, metadata: Mapping[
         ("t", np.isnan(columns["t"]), "a hit has a distance, and infinity is none"),
     ]
     for name, limit in limits.items():
-        if isinstance(limit, int):
-            rules.append((name, columns[name] >= limit, f"it is below {limit}, the footer's value"))
+        rules.append((name, columns[name] >= limit, f"it is below {limit}, the footer's value"))
     for name, wrong, rule in rules:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise bad_value(path, name, row, columns[name][row], rule)
-    n_accesses = metadata["n_accesses"]
-    if n and int(ends[-1]) != n_accesses:
-        raise bad_value(
-            path, "count", n - 1, columns["count"][-1], f"all counts together are the {n_accesses} accesses there are"
-        )
+    if n and int(ends[-1]) != footer.n_accesses:
+        rule = f"all counts together are the {footer.n_accesses} accesses there are"
+        raise bad_value(path, "count", n - 1, columns["count"][-1], rule)
 
 
 def check_ray_numbers(rays: np.ndarray, ends: np.ndarray, path: Path, first_row: int) -> None:

@@ -4,7 +4,6 @@ import ctypes
 import errno
 import glob
 import hashlib
-import json
 import os
 import secrets
 import shutil
@@ -13,19 +12,19 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nptrace_base.atomic import is_alive
+from traces.footer import Footer, parse_footer
 from traces.format import (
     ACCESSES,
     ENCODING,
     FILES,
-    FORMAT_VERSION,
     METADATA_KEY,
     NODES,
     RAYS,
@@ -104,10 +103,10 @@ class _Table:
         """Start writing the remaining rows; nothing more is appended."""
         self._waiting.append(self._thread.submit(self._write, 1))
 
-    def close(self, metadata: bytes) -> None:
+    def close(self, footer: bytes) -> None:
         """Write the footer, when all rows are written."""
         self._thread.shutdown()
-        self._writer.add_key_value_metadata({METADATA_KEY: metadata})
+        self._writer.add_key_value_metadata({METADATA_KEY: footer})
         self._writer.close()
         self._file.close()
 
@@ -126,22 +125,22 @@ class _Table:
 
 
 class RunWriter:
-    """Write one run; as a context manager; the run appears complete at the end, or not at all.
+    """Write one run, as a context manager: the run appears complete at the end, or not at all.
 
     Parameters
     ----------
     path : Path
         The run's directory. An earlier run there is replaced at the end; any other directory is refused.
-    metadata : dict
-        JSON values for the footers: scene, camera, tree, order, command. The counts and the format version are added here.
+    footer : Footer
+        Without the counts and the picture's checksum, which are added here.
     node_fields : list of pyarrow.Field
         ``SPLIT`` or ``BOX``: the columns of ``nodes.parquet`` that depend on the tree.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, Any], node_fields: list[pa.Field]) -> None:
+    def __init__(self, path: Path, footer: Footer, node_fields: list[pa.Field]) -> None:
         self.path = Path(path)
         self._real = Path(os.path.realpath(path))  # a run may be moved to another disk and linked back
-        self._metadata = dict(metadata)
+        self._footer = footer
         self._node_fields = node_fields
 
     def __enter__(self) -> "RunWriter":
@@ -180,7 +179,7 @@ class RunWriter:
     def image(self, png: bytes) -> None:
         """Store the picture, and its sha256 in the footers: PNG readers tend to show a damaged picture without an error."""
         (self._temp / "image.png").write_bytes(png)
-        self._metadata["image_sha256"] = hashlib.sha256(png).hexdigest()
+        self._footer = replace(self._footer, image_sha256=hashlib.sha256(png).hexdigest())
 
     def __exit__(self, exc_type: type[BaseException] | None, exc: BaseException | None, tb: object) -> None:
         if exc_type is None:
@@ -200,9 +199,8 @@ class RunWriter:
         self.complete()
         for table in self._tables.values():
             table.wait()
-        counts = {f"n_{name}": table.n_rows for name, table in self._tables.items()}
-        metadata = {"format_version": FORMAT_VERSION, **self._metadata, **counts}
-        text = json.dumps(metadata, sort_keys=True).encode()
+        n_accesses, n_rays, n_nodes = (self._tables[name].n_rows for name in ("accesses", "rays", "nodes"))
+        text = replace(self._footer, n_accesses=n_accesses, n_rays=n_rays, n_nodes=n_nodes).to_json()
         for table in self._tables.values():
             table.close(text)
         for _ in range(100):  # another render may put its run there, or take it away, between any two of these calls
@@ -228,21 +226,22 @@ class RunWriter:
         shutil.rmtree(self._temp, ignore_errors=True)
 
 
-def refuse_other(path: Path, metadata: Mapping[str, Any]) -> None:
-    """Raise RunError if a run of other content is at ``path``: of another mesh, picture or tree than in ``metadata``.
+def refuse_other(path: Path, footer: Footer) -> None:
+    """Raise RunError if a run of other content is at ``path``: of another mesh, picture or tree than ``footer`` tells of.
 
-    A run with unreadable footers may be replaced.
+    A run whose footers cannot be read is no loss; one whose footers lack something may be of another version of the program.
     """
-    found: dict[str, Any] = {}
+    text: bytes | None = None
     for name in ("accesses", "rays", "nodes"):
-        with suppress(OSError, ValueError, pa.ArrowException), pa.OSFile(os.fsencode(path / f"{name}.parquet")) as file:
-            found = dict(json.loads(pq.read_metadata(file).metadata[METADATA_KEY]))
-    given = json.loads(json.dumps(metadata))
-    scenes = [{key: values.get("scene", {}).get(key) for key in ("sha256", "stand_in")} for values in (found, given)]
-    unlike = [key for key in given if key not in ("tool_version", "command", "scene") and found.get(key) != given[key]]
-    if scenes[0] != scenes[1]:
-        unlike = ["scene"]  # its camera and light are others too
-    if found and unlike:
+        with suppress(OSError, pa.ArrowException), pa.OSFile(os.fsencode(path / f"{name}.parquet")) as file:
+            text = (pq.read_metadata(file).metadata or {}).get(METADATA_KEY)
+    if text is None:
+        return
+    try:
+        unlike = parse_footer(text, path).differences(footer)
+    except RunError as e:
+        raise RunError(f"{e}, with --overwrite") from e
+    if unlike:
         raise RunError(
             f"{path} holds another run (of another {', '.join(unlike)}); replace it with --overwrite, "
             "or keep it with --name or another --out"

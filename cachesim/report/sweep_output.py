@@ -148,7 +148,7 @@ def _draw_legend(figure: Any, styles: dict[int | str, dict[str, Any]], *, has_pr
     figure.legend(handles=keys, title="ways (LRU)", loc="outside right upper", frameon=False, fontsize=8)
     if has_prefetch:
         keys = [
-            Line2D([], [], color="0.3", linestyle="-", label="with\npre-fetching"),
+            Line2D([], [], color="0.3", linestyle="-", label="with\nprefetching"),
             Line2D([], [], color="0.3", linestyle="--", label="without"),
         ]
         figure.legend(handles=keys, loc="outside right lower", frameon=False, fontsize=8)

@@ -6,7 +6,7 @@ ACPR / (1 + 99 R) is the same in every row). The demand metric stands beside it.
 """
 
 import csv
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from typing import Any
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.result import Result, ratio
-from cachesim.source import read_footer
 from nptrace_base.errors import NptraceError
 from traces.reader import Run
 
@@ -37,7 +36,7 @@ Key = tuple[str, str, int, int]  # tree, scene, size_bytes, ways
 
 
 @dataclass(frozen=True)
-class Row:
+class Table1Row:
     """One row: ``ours`` and ``paper`` by the names above; ``nodes_per_ray`` is the measured N (accesses per ray)."""
 
     tree: str
@@ -89,9 +88,9 @@ def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
     """
     found: dict[tuple[str, str], list[Run]] = {}
     for run in runs:
-        footer = read_footer(run)
-        if footer.scene in SCENES:
-            found.setdefault((footer.tree, footer.scene), []).append(run)
+        scene = run.footer.scene.name.lower()
+        if scene in SCENES:
+            found.setdefault((run.footer.tree.kind, scene), []).append(run)
     chosen = {}
     for (tree, scene), candidates in found.items():
         named = [run for run in candidates if run.name == f"{scene}-{tree}"] or candidates
@@ -108,21 +107,21 @@ def missing(chosen: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     return [(tree, scene) for tree in TREES for scene in SCENES if (tree, scene) not in have]
 
 
-def table1(runs: Iterable[Run], *, threads: int | None = None, progress: Callable[[int], None] | None = None) -> list[Row]:
-    """Return the rows of Table I that have a run, in the paper's order."""
-    chosen = choose_runs(runs)
+def table1(
+    chosen: Mapping[tuple[str, str], Run], *, threads: int | None = None, progress: Callable[[int], None] | None = None
+) -> list[Table1Row]:
+    """Return the rows of Table I for the runs that ``choose_runs`` found, in the paper's order."""
     paper = paper_table()
     rows = []
     for (tree, scene), run in sorted(chosen.items(), key=lambda item: (list(TREES).index(item[0][0]), item[0][1])):
         keys = [key for key in paper if key[:2] == (tree, scene)]
         configs = [CacheConfig(size, ways, 32) for _, _, size, ways in keys]
-        is_stand_in = read_footer(run).is_stand_in
         for key, result in zip(keys, replay(run, configs, threads=threads, progress=progress), strict=True):
-            rows.append(_row(key, is_stand_in, result, paper[key]))
+            rows.append(_row(key, run.footer.scene.stand_in, result, paper[key]))
     return rows
 
 
-def _row(key: Key, is_stand_in: bool, result: Result, paper: dict[str, float]) -> Row:
+def _row(key: Key, is_stand_in: bool, result: Result, paper: dict[str, float]) -> Table1Row:
     tree, scene, size_bytes, ways = key
     miss_a = ratio(result.demand_misses_without, result.demand_accesses)
     miss_b, n = result.paper_miss_rate, PAPER_N[tree]
@@ -143,14 +142,14 @@ def _row(key: Key, is_stand_in: bool, result: Result, paper: dict[str, float]) -
         "accuracy": _percent(result.accuracy),
     }
     per_ray = ratio(result.demand_accesses, result.n_rays or 0)
-    return Row(tree, scene, is_stand_in, size_bytes, ways, {n: ours[n] for n in NAMES} | demand, paper, per_ray)
+    return Table1Row(tree, scene, is_stand_in, size_bytes, ways, {n: ours[n] for n in NAMES} | demand, paper, per_ray)
 
 
 def _percent(fraction: float | None) -> float | None:
     return None if fraction is None else 100 * fraction
 
 
-def to_dicts(rows: Iterable[Row]) -> list[dict[str, Any]]:
+def to_dicts(rows: Iterable[Table1Row]) -> list[dict[str, Any]]:
     """Return the rows as JSON values: the columns of the CSV, and the measured N with its ACPR."""
     return [
         _flat(row) | {
@@ -163,7 +162,7 @@ def to_dicts(rows: Iterable[Row]) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _flat(row: Row) -> dict[str, Any]:
+def _flat(row: Table1Row) -> dict[str, Any]:
     values: dict[str, Any] = {
         "tree": row.tree, "scene": row.scene_title, "size_bytes": row.size_bytes, "ways": row.ways
     }  # fmt: skip
@@ -172,7 +171,7 @@ def _flat(row: Row) -> dict[str, Any]:
     return values | {name: row.ours[name] for name in DEMAND_NAMES}
 
 
-def to_csv(rows: Iterable[Row]) -> str:
+def to_csv(rows: Iterable[Table1Row]) -> str:
     """Return the rows as CSV with a header; an empty field is a rate whose denominator is 0."""
     header = ["tree", "scene", "size_bytes", "ways"]
     header += [each for name in NAMES for each in (name, f"{name}_paper")] + list(DEMAND_NAMES)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from cachesim.config import format_bytes
-from cachesim.report.table1 import NAMES, PAPER_N, TREES, Row
+from cachesim.report.table1 import NAMES, PAPER_N, TREES, Table1Row
 from nptrace_base.tables import Table, number
 
 _HEADER = (
@@ -25,13 +25,13 @@ NOTES = (
 )  # fmt: skip
 
 
-def tables(rows: Sequence[Row]) -> list[Table]:
+def tables(rows: Sequence[Table1Row]) -> list[Table]:
     """Return one table per tree, and a table of the ACPR with the measured N."""
     made = [_tree_table(title, [row for row in rows if row.tree == tree]) for tree, title in TREES.items()]
     return [table for table in made if table.rows] + [_acpr_table(rows)]
 
 
-def notes(rows: Sequence[Row]) -> list[str]:
+def notes(rows: Sequence[Table1Row]) -> list[str]:
     """Return the notes below the tables."""
     stand_ins = [] if not any(row.is_stand_in for row in rows) else [
         "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
@@ -39,7 +39,7 @@ def notes(rows: Sequence[Row]) -> list[str]:
     return [*NOTES, *stand_ins]
 
 
-def _tree_table(title: str, rows: Sequence[Row]) -> Table:
+def _tree_table(title: str, rows: Sequence[Table1Row]) -> Table:
     lines: list[list[str]] = []
     sections = set()
     for row in rows:
@@ -60,10 +60,10 @@ def _tree_table(title: str, rows: Sequence[Row]) -> Table:
     return Table(title, _HEADER, lines, n_left=3, sections=sections)
 
 
-def _acpr_table(rows: Sequence[Row]) -> Table:
+def _acpr_table(rows: Sequence[Table1Row]) -> Table:
     caches = sorted({(row.size_bytes, row.ways) for row in rows})
     header = ["Tree", "Scene", "N"] + [f"{format_bytes(size)}({ways})\n{ab}" for size, ways in caches for ab in "AB"]
-    groups: dict[tuple[str, str], dict[tuple[int, int], Row]] = {}
+    groups: dict[tuple[str, str], dict[tuple[int, int], Table1Row]] = {}
     for row in rows:
         groups.setdefault((row.tree, row.scene_title), {})[row.size_bytes, row.ways] = row
     lines = []

@@ -2,15 +2,12 @@
 
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from nptrace.groups import BadInput
 from nptrace.scene_options import load_scenes, scene_options
-
-if TYPE_CHECKING:
-    pass
 
 
 @click.command()

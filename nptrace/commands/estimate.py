@@ -13,7 +13,7 @@ from nptrace.groups import BadInput
 from nptrace.options import list_option
 from nptrace.output import output_option
 from nptrace.progress import progress_bar
-from nptrace.scene_options import load_scenes, parse_kd, picture_options
+from nptrace.scene_options import Picture, load_scenes, picture_options, tree_params
 
 if TYPE_CHECKING:
     from cachesim.sampling.estimate import Estimated, Target
@@ -21,31 +21,25 @@ if TYPE_CHECKING:
 
 
 def estimate_scenes(
-    scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", *, pixels: str,
-    camera: str | None, light: str | None, order: str, batch: int, kd_text: str, bvh_builder: str, seed: int,
-    exact_below: float, threads: int, resume: Path | None = None,
+    scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", picture: Picture,
+    resume: Path | None = None,
 ) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
     """Estimate every scene with every tree; return (tree, scene, result) of each."""
     from cachesim.sampling.estimate import estimate as estimate_source
-    from rtrace.camera import parse_camera, parse_point, parse_size
     from rtrace.ray_source import RayUnits
-    from rtrace.render import Shooting
-    from rtrace.scenes.scene import seen_from
     from rtrace.trees.tree_cache import cached_tree
 
-    shooting = Shooting(*parse_size(pixels), order, batch, seed if order == "random" else 0)
-    params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
-    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
+    shooting, params = picture.shooting(), tree_params(picture.kd_text, picture.bvh_builder)
     if resume is not None and len(scenes) * len(accel) > 1:
         raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
     found = []
     for scene in scenes:
         for kind in accel:
-            source = RayUnits(seen_from(scene, eye, lamp), cached_tree(scene, kind, **params[kind]), shooting)
+            source = RayUnits(scene, cached_tree(scene, kind, **params[kind]), shooting)
             with progress_bar(f"estimate {source.name}", None) as progress:
                 result = estimate_source(
-                    source, configs, target, seed=seed, threads=threads, exact_below=exact_below, resume=resume,
-                    progress=progress,
+                    source, configs, target, seed=picture.seed, threads=picture.threads, exact_below=picture.exact_below,
+                    resume=resume, progress=progress,
                 )  # fmt: skip
             found.append((kind, scene, result))
     return found
@@ -67,7 +61,7 @@ def estimate_scenes(
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def estimate(
     names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
-    resume: Path | None, as_json: bool, strict: bool, offline: bool, **picture: Any,
+    resume: Path | None, as_json: bool, strict: bool, offline: bool, camera: str | None, light: str | None, **picture: Any,
 ) -> None:  # fmt: skip
     """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.
 
@@ -88,9 +82,8 @@ def estimate(
         CacheConfig(one_size, parse_ways(ways, one_size, parse_bytes(line)), parse_bytes(line))
         for one_size in size for ways in assoc
     ]  # fmt: skip
-    found = estimate_scenes(
-        load_scenes(names, strict, offline), accel or ("kdtree", "bvh"), configs, target, resume=resume, **picture
-    )
+    scenes = load_scenes(names, strict, offline, camera, light)
+    found = estimate_scenes(scenes, accel or ("kdtree", "bvh"), configs, target, Picture(**picture), resume)
     results = [result for _, _, result in found]
     if as_json:
         click.echo(json.dumps([result.to_dict() for result in results], indent=2))

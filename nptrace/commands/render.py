@@ -3,17 +3,13 @@
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from nptrace import __version__
 from nptrace.options import threads_option
 from nptrace.progress import progress_bar
-from nptrace.scene_options import check_run_names, load_scenes, parse_kd, scene_options
-
-if TYPE_CHECKING:
-    pass
+from nptrace.scene_options import check_run_names, load_scenes, scene_options, tree_params
 
 
 @click.command()
@@ -76,18 +72,16 @@ def render(
     nptrace render a/scene.gltf b/scene.gltf --name chair --name table
     nptrace render model.obj --accel bvh --size 512x512 --camera "eye=0,2,5 at=0,0,0"
     """
-    from rtrace.camera import parse_camera, parse_point, parse_size
+    from rtrace.camera import parse_size
     from rtrace.render import Shooting, render_all
     from rtrace.scenes import float32_check
-    from rtrace.scenes.scene import seen_from
     from rtrace.trees.strays import margin_note
 
     check_run_names(run_names, len(names))
     shooting = Shooting(*parse_size(size), order, batch, seed)
-    params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
+    params = tree_params(kd_text, bvh_builder)
     chosen = {kind: params[kind] for kind in accel or params}
-    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
-    scenes = [seen_from(scene, eye, lamp) for scene in load_scenes(names, strict, offline)]
+    scenes = load_scenes(names, strict, offline, camera, light)
     for scene in scenes:
         if scene.precision is not None:
             click.echo(f"{scene.label}: {float32_check.choice(scene.precision)}", err=True)

@@ -1,7 +1,6 @@
 """npcache table1: Table I of the paper beside ours."""
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ from nptrace.commands.estimate import estimate_scenes
 from nptrace.groups import BadInput
 from nptrace.output import FORMATS, one_form, output_option, write_out, write_tables
 from nptrace.progress import progress_bar
-from nptrace.scene_options import load_scenes
+from nptrace.scene_options import Picture, load_scenes
 from nptrace.sources import default_sources, traces_option
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def table1(
     if not chosen:
         raise BadInput(f"no run in {folder} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
     with progress_bar("replay", sum(run.n_accesses for run in chosen.values())) as progress:
-        rows = table.table1(chosen.values(), progress=progress)
+        rows = table.table1(chosen, progress=progress)
     for tree, scene in table.missing(chosen):
         click.echo(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}", err=True)
     tables, notes = table1_tables.tables(rows), table1_tables.notes(rows)
@@ -71,16 +70,13 @@ def estimated_table1(error: str, pixels: str, seed: int, form: str, output: Path
     """Write Table I estimated for the four scenes and both trees."""
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import SCENES, TREES, caches
-    from cachesim.sampling.estimate import EXACT_BELOW, parse_target
+    from cachesim.sampling.estimate import parse_target
 
     target = parse_target(error)
     if form == "csv":
         raise BadInput("--format csv cannot hold half-widths; with --target-error choose json, table, markdown or latex")
     scenes = load_scenes(SCENES, strict=False, offline=False)
-    found = estimate_scenes(
-        scenes, tuple(TREES), caches(), target, pixels=pixels, camera=None, light=None, order="scanline", batch=1, kd_text="",
-        bvh_builder="sweep", seed=seed, exact_below=EXACT_BELOW, threads=os.cpu_count() or 1,
-    )  # fmt: skip
+    found = estimate_scenes(scenes, tuple(TREES), caches(), target, Picture(pixels=pixels, seed=seed))
     ordered = [(tree, scene.name, result) for tree in TREES for kind, scene, result in found if kind == tree]
     if form == "json":
         write_out(json.dumps(estimate_tables.table1_dicts(ordered), indent=2) + "\n", output)

@@ -25,7 +25,7 @@ T_LIMIT = 1e-2
 SAME_T = 1e-4
 
 
-class Row(NamedTuple):
+class EmbreeComparison(NamedTuple):
     """One comparison: ``value`` must not be above ``limit``."""
 
     tree: str
@@ -71,7 +71,7 @@ def embree_scene(triangles: np.ndarray):
     return scene
 
 
-def compare(trees: list[Tree], scene: Scene, width: int, height: int, n_random: int, seed: int) -> list[Row]:
+def compare(trees: list[Tree], scene: Scene, width: int, height: int, n_random: int, seed: int) -> list[EmbreeComparison]:
     """Compare every tree with Embree on the primary and shadow rays of the scene's picture and on random rays.
 
     Embree and the trees get exactly the same float32 rays; shadow rays are those of the first tree. Beyond the first, a
@@ -89,13 +89,13 @@ def compare(trees: list[Tree], scene: Scene, width: int, height: int, n_random: 
         for tree in trees:
             hits = trace(tree, rays, any_hit=name == "shadow")
             answer = _occlusion_rows(embree, rays, hits) if name == "shadow" else _hit_rows(embree, scene, rays, hits)
-            rows += [Row(tree.kind, name, len(rays.t_max), *row) for row in answer]
+            rows += [EmbreeComparison(tree.kind, name, len(rays.t_max), *row) for row in answer]
             if first is not None:
                 same = (hits.prim < 0) == (first.prim < 0)
                 if name != "shadow":
                     same = (hits.prim == first.prim) & (hits.t == first.t)
                 what = f"rays unlike the {trees[0].kind}"
-                rows.append(Row(tree.kind, name, len(rays.t_max), what, float((~same).sum()), 0.0))
+                rows.append(EmbreeComparison(tree.kind, name, len(rays.t_max), what, float((~same).sum()), 0.0))
             first = first or hits
     return rows
 

@@ -2,23 +2,31 @@
 
 A scene comes from the folder $NPTRACE_SCENES, otherwise from the user's cache or a download; otherwise a built-in stand-in
 takes its place. None of the four comes with this program: their licences are their authors'.
+
+A downloaded archive is believed if its sha256 is one that was recorded, or if the mesh in it has exactly the triangles by
+which the scene is known. Nothing half-done stays: the archive lives in a temporary folder, a cached file appears whole.
 """
 
 import difflib
 import os
+import tempfile
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import numpy as np
 from platformdirs import user_cache_path
 
+from nptrace_base.atomic import replacing
+from nptrace_base.folders import private_folder
 from rtrace.camera import Camera, Point
 from rtrace.scenes import downloads
 from rtrace.scenes.mesh_file import READERS
-from rtrace.scenes.scene import Scene, SceneError, load_mesh
+from rtrace.scenes.scene import Scene, SceneError, load_mesh, scene_from_triangles, seen_from
 from rtrace.scenes.stand_ins import STAND_INS, stand_in
 
 Notify = Callable[[str], object]
@@ -187,7 +195,7 @@ def list_scenes(cache: Path | None = None) -> list[SceneRow]:
     """Return each benchmark scene and where it is found; reads no mesh and downloads nothing."""
     rows = []
     for e in CATALOG.values():
-        where = _in_folder(e) or downloads.cached_file(e.name, cache or cache_folder()) or ""
+        where = _in_folder(e) or _cached_file(e, cache or cache_folder()) or ""
         rows.append(SceneRow(e.name, e.title, e.n_triangles, str(where), e.licence, e.credit, e.url or "", e.stand_in))
     return rows
 
@@ -248,12 +256,14 @@ def find_scene(
         if own.suffix.lower() in READERS:
             scene = load_mesh(own, strict=strict, fans=True)
         else:
-            scene = downloads.load_archive(own, entry.member or f"{name}.obj", strict=strict)
+            with tempfile.TemporaryDirectory() as unpacked:
+                mesh = downloads.unpack(own, entry.member or f"{name}.obj", Path(unpacked))
+                scene = load_mesh(mesh, strict=strict, fans=True)  # as everybody's counts of these scenes are made
         return _present(entry, scene, str(own), notify)
     cache = cache or cache_folder()
-    cached = downloads.load_cached(entry, cache, notify)
+    cached = _load_cached(entry, cache, notify)
     if cached is None and download and entry.url:
-        cached = downloads.download(entry, cache, notify, base_url)
+        cached = _download(entry, cache, notify, base_url)
     if cached is not None:
         return _present(entry, cached, "the downloaded mesh", notify)
     notify(
@@ -276,8 +286,60 @@ def _in_folder(entry: Entry) -> Path | None:
     return next((path for path in candidates if path.is_file()), None)
 
 
+def _cached_file(entry: Entry, folder: Path) -> Path | None:
+    """Return the file in which an earlier download of a scene was kept, or None."""
+    return next(iter(sorted(folder.glob(f"{entry.name}-*.npy"))), None)
+
+
+def _load_cached(entry: Entry, folder: Path, notify: Notify) -> Scene | None:
+    """Return the scene that an earlier download left in ``folder``, or None; a damaged file is reported and deleted."""
+    path = _cached_file(entry, folder)
+    if path is None:
+        return None
+    try:
+        with open(path, "rb") as file:
+            scene = scene_from_triangles(np.load(file, allow_pickle=False), entry.name, source=entry.name)
+        if path.stem != f"{entry.name}-{scene.sha256}":
+            raise SceneError("its checksum is wrong")
+        return scene
+    except (OSError, ValueError, EOFError) as error:
+        notify(f"{path} is damaged ({error}); it is deleted")
+        with suppress(OSError):
+            path.unlink()
+        return None
+
+
+def _download(entry: Entry, folder: Path, notify: Notify, base_url: str | None) -> Scene | None:
+    """Download a scene, keep its triangles in ``folder`` and return it; None, after giving the reason, if that cannot be done.
+
+    ``base_url`` (scheme and host) replaces that of the authors.
+    """
+    assert entry.url is not None
+    assert entry.member is not None
+    url = entry.url if base_url is None else base_url.rstrip("/") + urlsplit(entry.url).path
+    notify(f"downloading {entry.title} from {url}. Licence: {entry.licence}. Credit: {entry.credit}.")
+    try:
+        with tempfile.TemporaryDirectory() as name:
+            mesh, sha256 = downloads.download(url, entry.member, Path(name))
+            scene = load_mesh(mesh, fans=True)
+    except (SceneError, OSError) as error:
+        notify(f"{entry.name} could not be downloaded: {str(error)[:200]}")
+        return None
+    if sha256 not in entry.archives and scene.sha256 != entry.sha256:
+        notify(f"{entry.name} was not used: neither the archive (sha256 {sha256}) nor the mesh in it is one that is known")
+        return None
+    try:
+        private_folder(folder)
+        path = folder / f"{entry.name}-{scene.sha256}.npy"
+        with replacing(path) as temporary, open(temporary, "wb") as file:
+            np.save(file, scene.triangles)
+    except OSError as error:  # this costs a download next time, no more
+        notify(f"{entry.name} could not be kept in {folder}: {error}")
+    return scene
+
+
 def _present(entry: Entry, scene: Scene, where: str, notify: Notify) -> Scene:
-    """Return the scene with the catalogue's name and camera; warn if the mesh differs from the catalogue's."""
+    """Return the scene under its name, seen with the catalogue's camera; a note warns of another mesh than the known one."""
     notes = scene.notes
     if scene.sha256 != entry.sha256:
         notes += (
@@ -287,5 +349,5 @@ def _present(entry: Entry, scene: Scene, where: str, notify: Notify) -> Scene:
     scene = scene._replace(name=entry.name, source=entry.name, notes=notes)
     bounds = np.array(entry.bounds)
     if np.abs(scene.bounds - bounds).max() <= 0.05 * (bounds[1] - bounds[0]).max():
-        scene = scene._replace(camera=entry.camera, light=entry.light)
+        scene = seen_from(scene, entry.camera, entry.light)
     return scene

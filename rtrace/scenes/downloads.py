@@ -1,29 +1,13 @@
-"""Benchmark scenes over the network: an archive at its authors' site -> checked triangles in the user's cache.
-
-An archive is accepted if its sha256 is a recorded one, or if its mesh has exactly the scene's known triangles. Nothing
-incomplete stays: the archive is in a temporary folder, and the cached file is renamed into place.
-"""
+"""Archives with a mesh, at their authors' sites or on this machine -> the mesh in a folder of the caller's."""
 
 import tarfile
-import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
 from urllib.parse import urlsplit
 
-import numpy as np
-
-from nptrace_base.atomic import replacing
-from nptrace_base.folders import private_folder
-from rtrace.scenes.scene import Scene, SceneError, load_mesh, scene_from_triangles
-
-if TYPE_CHECKING:
-    from rtrace.scenes.catalog import Entry
-
-Notify = Callable[[str], object]
+from rtrace.scenes.mesh_file import SceneError
 
 TIMEOUT = 10  # seconds without an answer; a study must not hang because a server does
 MAX_MEMBER_BYTES = 1 << 30  # the largest mesh is 27 MB; a longer member is not the mesh
@@ -35,71 +19,30 @@ _BAD_ARCHIVE = (OSError, EOFError, RuntimeError, NotImplementedError, tarfile.Ta
 _HEADERS = {"User-Agent": "nptrace (scene downloader; https tools for node-cache studies)"}
 
 
-def cached_file(name: str, folder: Path) -> Path | None:
-    """Return the cached file of an earlier download of a scene, or None."""
-    return next(iter(sorted(folder.glob(f"{name}-*.npy"))), None)
+def download(url: str, member: str, folder: Path) -> tuple[Path, str]:
+    """Download an archive into ``folder`` and unpack one mesh there; return its file and the archive's sha256.
 
-
-def load_cached(entry: "Entry", folder: Path, notify: Notify) -> Scene | None:
-    """Return the scene that an earlier download left in ``folder``, or None; a damaged file is reported and deleted."""
-    path = cached_file(entry.name, folder)
-    if path is None:
-        return None
-    try:
-        with open(path, "rb") as file:
-            scene = scene_from_triangles(np.load(file, allow_pickle=False), entry.name, source=entry.name)
-        if path.stem != f"{entry.name}-{scene.sha256}":
-            raise SceneError("its checksum is wrong")
-        return scene
-    except (OSError, ValueError, EOFError) as error:
-        notify(f"{path} is damaged ({error}) and was deleted")
-        with suppress(OSError):
-            path.unlink()
-        return None
-
-
-def download(entry: "Entry", folder: Path, notify: Notify, base_url: str | None = None) -> Scene | None:
-    """Download a scene, keep its triangles in ``folder`` and return it; on failure, notify of the reason and return None.
-
-    ``base_url`` (scheme and host) replaces that of the authors.
+    Raises SceneError, with the reason, if that cannot be done.
     """
     import pooch
     import requests
 
-    assert entry.url is not None
-    assert entry.member is not None
-    url = entry.url if base_url is None else base_url.rstrip("/") + urlsplit(entry.url).path
-    notify(f"downloading {entry.title} from {url}. Licence: {entry.licence}. Credit: {entry.credit}.")
     pooch.get_logger().setLevel("ERROR")  # it would repeat the notice
+    downloader = pooch.HTTPDownloader(headers=_HEADERS, timeout=TIMEOUT)
     try:
-        with tempfile.TemporaryDirectory() as name:
-            downloader = pooch.HTTPDownloader(headers=_HEADERS, timeout=TIMEOUT)
-            archive = Path(pooch.retrieve(url, None, fname=Path(urlsplit(url).path).name, path=name, downloader=downloader))
-            sha256 = pooch.file_hash(str(archive))
-            mesh = _extract(archive, entry.member, Path(name))
-            scene = load_mesh(mesh, fans=True)._replace(name=entry.name, source=entry.name)
+        name = Path(urlsplit(url).path).name
+        archive = Path(pooch.retrieve(url, None, fname=name, path=folder, downloader=downloader))
+        return _extract(archive, member, folder), pooch.file_hash(str(archive))
     except (requests.RequestException, ValueError, *_BAD_ARCHIVE) as error:
-        reason = str(error).split("\n")[0] or type(error).__name__
-        notify(f"{entry.name} could not be downloaded: {reason[:200]}")
-        return None
-    if sha256 not in entry.archives and scene.sha256 != entry.sha256:
-        notify(f"{entry.name} was not used: neither the archive (sha256 {sha256}) nor the mesh in it is known")
-        return None
+        raise SceneError(str(error).split("\n")[0] or type(error).__name__) from error
+
+
+def unpack(archive: Path, member: str, folder: Path) -> Path:
+    """Unpack the mesh in an archive of the user's own into ``folder``; return its file. Raises SceneError."""
     try:
-        _keep(scene, folder)
-    except OSError as error:  # this costs a download next time, no more
-        notify(f"{entry.name} could not be stored in {folder}: {error}")
-    return scene
-
-
-def load_archive(archive: Path, member: str, *, strict: bool = False) -> Scene:
-    """Return the mesh in one of the user's archives. Raises SceneError."""
-    with tempfile.TemporaryDirectory() as name:
-        try:
-            mesh = _extract(archive, member, Path(name))
-        except _BAD_ARCHIVE as error:
-            raise SceneError(f"{archive}: cannot be unpacked ({error}); put the mesh itself beside it") from error
-        return load_mesh(mesh, strict=strict, fans=True)  # as in published counts of these scenes
+        return _extract(archive, member, folder)
+    except _BAD_ARCHIVE as error:
+        raise SceneError(f"{archive}: cannot be unpacked ({error}); put the mesh itself beside it") from error
 
 
 def _extract(archive: Path, member: str, folder: Path) -> Path:
@@ -138,9 +81,3 @@ def _copy(source: IO[bytes], target: Path) -> None:
             if left < 0:
                 raise SceneError(f"{target.name} is longer than the archive says")
             out.write(piece)
-
-
-def _keep(scene: Scene, folder: Path) -> None:
-    private_folder(folder)
-    with replacing(folder / f"{scene.name}-{scene.sha256}.npy") as temporary, open(temporary, "wb") as file:
-        np.save(file, scene.triangles)

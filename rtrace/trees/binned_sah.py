@@ -15,7 +15,7 @@ from numba import types
 
 from nptrace_base.jit import inlined, instructions, kernel
 from rtrace.trees import strays
-from rtrace.trees.tree import LEAF
+from rtrace.trees.tree import LEAF_AXIS
 
 N_BINS = 16
 FEWEST_BINS, PER_BIN = 4, 20  # bins of a node with n triangles: 4 + n / 20, at most N_BINS
@@ -267,7 +267,7 @@ def build_binned(records, numbers, box, nodes, words, prims):
         if not area + cost < area * count:
             for i in range(start, end):
                 prims[i] = numbers[i * EIGHT + SIX]
-            words[w + SIX], words[w + SEVEN] = start, count << TWO | np.uint64(LEAF)
+            words[w + SIX], words[w + SEVEN] = start, count << TWO | np.uint64(LEAF_AXIS)
             continue
         copy(sides, ZERO, empty, ZERO)
         copy(sides, ONE, empty, ZERO)

@@ -11,7 +11,7 @@ from nptrace_base.jit import kernel
 from rtrace.trees import binned_sah
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room
-from rtrace.trees.tree import BVH_NODE, LEAF, Tree, check_finite, triangle_boxes
+from rtrace.trees.tree import BVH_NODE, LEAF_AXIS, Tree, check_finite, triangle_boxes
 
 
 @kernel
@@ -87,7 +87,7 @@ def _partition(ids, start, end, goes_right, scratch):
 def _sort_leaves(words, n_nodes, prims, spare):
     """Bring the triangles of every leaf into ascending order."""
     for node in range(n_nodes):
-        if words[8 * node + 7] & 3 == LEAF:
+        if words[8 * node + 7] & 3 == LEAF_AXIS:
             start, count = np.int64(words[8 * node + 6]), np.int64(words[8 * node + 7] >> 2)
             sort(prims[start : start + count], count, spare)
 
@@ -133,7 +133,7 @@ def _build(orders, boxes, nodes, words, prims, n):
         # cost of "no split", times nothing, is no split either.)
         if not area + cost < area * count:
             prims[start:end] = orders[start:end]
-            words[w + 6], words[w + 7] = start, count << 2 | LEAF
+            words[w + 6], words[w + 7] = start, count << 2 | LEAF_AXIS
             continue
         order = orders[axis * n : (axis + 1) * n]
         for i in range(start, end):

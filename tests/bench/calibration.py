@@ -125,7 +125,7 @@ def calibrate(source: RayUnits, configs: list[CacheConfig], target: Target, n_se
     counts = UnitCounts(source, configs)
     truth = whole_run(counts, configs, path)
     scouts = [counts.scout(FIRST_SEED + k) for k in range(min(N_SCOUTS, n_seeds))]
-    names = ["accesses per ray", "pre-fetches per access", *(f"{c} {name}" for c in configs for name in QUANTITIES)]
+    names = ["accesses per ray", "prefetches per access", *(f"{c} {name}" for c in configs for name in QUANTITIES)]
     targeted = [i for i, name in enumerate(names) if name.split()[-1] in TARGETED]
     ratios = [i for i, name in enumerate(names) if name.split()[-1] in RATIOS]
     errors, halves, sampled, shares = [], [], [], []

@@ -55,7 +55,7 @@ def rows(scene: str, sizes: tuple[int, ...]) -> list[list[object]]:
             run = open_run(path)
             n_bytes = sum(file.stat().st_size for file in path.iterdir())
             numbers = [rendered[0], replayed[0], rendered[1], replayed[1]]
-            found.append([scene, size, run.metadata["n_rays"], run.n_accesses, n_bytes, *(f"{x:.4g}" for x in numbers)])
+            found.append([scene, size, run.footer.n_rays, run.n_accesses, n_bytes, *(f"{x:.4g}" for x in numbers)])
             print(*found[-1], sep="\t", flush=True)
     return found
 

@@ -35,6 +35,8 @@ MUTATIONS = [
     Mutation("estimate claims: the scout looks at the same pixels for every seed", RU, "np.random.default_rng([seed, step])", "np.random.default_rng([0, step])", f"{CLAIMS} -k elsewhere"),
     Mutation("estimate claims: the probe takes the same pixels for every seed", RU, "np.random.default_rng(seed).integers(self._n_pixels", "np.random.default_rng(0).integers(self._n_pixels", f"{CLAIMS} -k elsewhere"),
     Mutation("estimate claims: stretches in batches of one", RU, "self._shooting.batch, None), cuts)", "1, None), cuts)", "tests/cachesim/sampling/test_estimate.py -k stretches"),
+    Mutation("ray source: pieces of a chunk in the wrong order", RU, "reversed(smaller_pieces(start, stop, batch, pass_))", "smaller_pieces(start, stop, batch, pass_)", "tests/rtrace/test_ray_source.py"),
+    Mutation("ray source: the limit is not handed on", RU, "pass_, MOST_EVENTS)", "pass_, None)", "tests/rtrace/test_ray_source.py"),
     Mutation("estimate claims: units cut batches", UN, "unit = -(-source.unit // source.grain) * source.grain", "unit = source.unit", f"{CLAIMS} -k units_warmed"),
     Mutation("estimate claims: warm-ups cut batches", UN, "return max(position - -(-n // grain) * grain, 0)", "return max(position - n, 0)", f"{CLAIMS} -k cuts_a_batch"),
     Mutation("estimate claims: the last part of a run is left out", UN, "np.append(np.arange(0, source.n_positions, unit), source.n_positions)", "np.arange(0, source.n_positions + 1, unit)", f"{CLAIMS} -k what_is_left"),
@@ -58,7 +60,7 @@ MUTATIONS = [
     Mutation("kept: a file of another run is continued", KE, "if own == key:", "if own:", RESUME),
     Mutation("kept: arrays are taken as they are", KE, "return _checked(Kept(**arrays), n_units, 3 * n_caches, n_positions)", "return Kept(**arrays)", RESUME),
     Mutation("kept: compressed files of any size", KE, "if any(member.compress_type != zipfile.ZIP_STORED for member in members.infolist()):", "if False:", RESUME),
-    Mutation("kept: a missing folder is found when it is too late", UN, "kept.check_place(path)", "pass", RESUME),
+    Mutation("kept: a missing folder is found when it is too late", UN, "resume_file.check_place(path)", "pass", RESUME),
     Mutation("kept: what a damaged archive raises is a bug", KE, "ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error", "ValueError, KeyError, TypeError, EOFError, zlib.error", RESUME),
     Mutation("kept: units beyond the run", KE, "if (units >= n_units).any():", "if False:", RESUME),
 ]

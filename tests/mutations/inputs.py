@@ -23,7 +23,7 @@ MUTATIONS = [
     Mutation("values: axis 4 is a leaf's", CH, "if axis[i] > LEAF_AXIS or (axis[i] == LEAF_AXIS) == has_children[i]:", "if (axis[i] >= LEAF_AXIS) == has_children[i]:", VALUES),
     Mutation("values: triangles in inner nodes", CH, "if has_children[i] and n_prims[i] != 0:", "if has_children[i] and n_prims[i] > 9:", VALUES),
     Mutation("values: numbers of nodes are not looked at", CH, "if node[i] != i:", "if node[i] != node[i]:", VALUES),
-    Mutation("values: addresses are not looked at", RD, 'self.tree[1] if "address" in columns else None', "None", VALUES),
+    Mutation("values: addresses are not looked at", RD, 'self.footer.tree.node_bytes if "address" in columns else None', "None", VALUES),
     Mutation("values: the tree of a layout as stored is not checked", RD, "            if checked is not None:\n                checked.result()\n\n", "", VALUES),
     Mutation("values: rows count from the batch", RD, "                row += read.num_rows\n", "", VALUES),
     Mutation("values: the walk's rows count from the batch", "cachesim/prefetch.py", "        self._n_rows += nodes.size\n", "        self._n_rows += 1\n", "tests/test_fuzz.py tests/traces/test_run_values.py"),
@@ -32,7 +32,7 @@ MUTATIONS = [
     Mutation("values: texts are numbers", CH, "or pa.types.is_floating(inner)\n", "or pa.types.is_floating(inner) or pa.types.is_string(inner)\n", VALUES),
     Mutation("values: one of two columns is taken", RD, "if len(columns) != 1:", "if not columns:", VALUES),
     Mutation("values: rays overlap", CH, "first != ends - count", "first > ends", VALUES),
-    Mutation("values: the last ray's accesses are not counted", CH, "if n and int(ends[-1]) != n_accesses:", "if n and int(ends[-1]) > n_accesses:", VALUES),
+    Mutation("values: the last ray's accesses are not counted", CH, "if n and int(ends[-1]) != footer.n_accesses:", "if n and int(ends[-1]) > footer.n_accesses:", VALUES),
     Mutation("values: layouts take two pairs of one parent", "cachesim/layout.py", ".max() > 1:", ".max() > 2:", VALUES),
     # --- streams ---
     Mutation("streams: the head is lost", ST, "_HeadFirst(head, self._file)", '_HeadFirst(b"", self._file)', STREAMS),
@@ -52,7 +52,7 @@ MUTATIONS = [
     Mutation("din: no warning of pre-fetches that span lines", DI, 'if fmt == "binary" and prefetch == "b":', 'if fmt == "xml":', STREAMS),
     # --- names and forms ---
     Mutation("names: handed to Arrow", RD, 'handles.enter_context(file.open("rb"))', "str(file)", STREAMS),
-    Mutation("names: written by Arrow", "traces/writer.py", 'self._file = path.open("wb")', "self._file = path", STREAMS),
+    Mutation("names: written by Arrow", "traces/writer.py", 'pa.OSFile(os.fsencode(path), "wb")', 'pa.OSFile(str(path), "wb")', STREAMS),
     Mutation("names: printed as they are", "nptrace/groups.py", 'sys.stdout.reconfigure(errors="backslashreplace")', "pass", STREAMS),
     Mutation("forms: --json beside another form", "nptrace/output.py", 'if as_json and form not in (None, "json"):', 'if as_json and form == "json":', STREAMS),
 ]

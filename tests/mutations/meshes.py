@@ -5,7 +5,7 @@
 
 from tests.mutations.mutation import Mutation
 
-TEXT, OBJ, OFF, PLY, STL = (f"rtrace/meshes/{name}.py" for name in ("text", "obj", "off", "ply", "stl"))
+TEXT, OBJ, OFF, PLY, STL = (f"rtrace/scenes/meshes/{name}.py" for name in ("text", "obj", "off", "ply", "stl"))
 GLTF, FILE, POLYGONS, MESH = "rtrace/scenes/meshes/gltf.py", "rtrace/scenes/meshes/gltf_file.py", "rtrace/scenes/meshes/polygons.py", "rtrace/scenes/mesh_file.py"
 FILES, CORPUS = "tests/rtrace/scenes/test_mesh_files.py", "tests/rtrace/scenes/test_mesh_corpus.py"
 BOTH = f"{FILES} {CORPUS}"
@@ -22,7 +22,7 @@ MUTATIONS = [
     Mutation("meshes: free-form surfaces are not said", "rtrace/scenes/meshes/obj.py", "elif key in _UNREAD:", "elif key in ():", FILES),
     Mutation("meshes: OBJ counts backwards from the end", "rtrace/scenes/meshes/obj.py", "np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))", "np.full(len(face_lines), len(vertex_lines))", "tests/rtrace/scenes/test_scene.py -k backwards"),
     Mutation("meshes: OFF with other coordinates is read", "rtrace/scenes/meshes/off.py", 'if keyword[1] or b"nOFF" in words[0]:', "if keyword[1]:", FILES),
-    Mutation("meshes: OFF's keyword in capitals only", OFF, "re.IGNORECASE", "0", BOTH),
+    Mutation("meshes: OFF's keyword in capitals only", OFF, "OFF(.*)\", re.IGNORECASE", "OFF(.*)\", 0", BOTH),
     Mutation("meshes: lines after the last OFF face are not said", "rtrace/scenes/meshes/off.py", "if n_rows > n_vertices + n_faces:", "if n_rows < 0:", FILES),
     Mutation("meshes: a binary PLY with CR loses a byte", "rtrace/scenes/meshes/ply.py", 'if first[0] == b"\\r" else', "if False else", f"{FILES} -k first_byte"),
     Mutation("meshes: end_header anywhere ends a PLY header", "rtrace/scenes/meshes/ply.py", 'if rows[-1] == [b"end_header"]:', 'if b"end_header" in rows[-1]:', BOTH),
@@ -44,7 +44,7 @@ MUTATIONS = [
     Mutation("meshes: bent polygons are not said", POLYGONS, "    if bent.size:\n", "    if False:\n", FILES),
     Mutation("meshes: a bent polygon is measured by its corners' sum", POLYGONS, "_FLAT = 1e-3", "_FLAT = 1", FILES),
     Mutation("meshes: a bad corner spoils the ears", POLYGONS, "    if not usable.all():\n", "    if False:\n", FILES),
-    Mutation("meshes: benchmark scenes are cut by ears", "rtrace/scenes/downloads.py", "strict=strict, fans=True)", "strict=strict)", f"{FILES} -k known"),
+    Mutation("meshes: benchmark scenes are cut by ears", "rtrace/scenes/catalog.py", "load_mesh(own, strict=strict, fans=True)", "load_mesh(own, strict=strict)", f"{FILES} -k known"),
     Mutation("meshes: gzip is no mesh", MESH, 'data.startswith(b"\\x1f\\x8b\\x08")', 'data.startswith(b"\\x1f\\x8b\\x09")', BOTH),
     Mutation("meshes: glTF weights of the mesh alone", GLTF, '(node if "weights" in node else mesh).reals', "mesh.reals", CORPUS),
     Mutation("meshes: glTF morph targets at full weight", GLTF, "points + weight * moves", "points + moves", CORPUS),

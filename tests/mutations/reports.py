@@ -15,18 +15,15 @@ TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", P
 MUTATIONS = [
     # Borders
     Mutation("border: a batch longer than a chunk is cut", "rtrace/render.py",
-             "step = CHUNK if shooting.batch == 0 else batch * max(1, CHUNK // batch)", "step = CHUNK", BORDERS + " -k never_cut"),
+             "step = batch * (CHUNK // batch)", "step = CHUNK", BORDERS + " -k never_cut"),
     Mutation("border: a chunk holds one batch too few and ends inside it", "rtrace/render.py",
-             "batch * max(1, CHUNK // batch)", "max(batch, CHUNK)", BORDERS + " -k never_cut"),
+             "step = batch * (CHUNK // batch)", "step = max(batch, CHUNK - 1)", BORDERS + " -k never_cut"),
     Mutation("border: first in 32 bits", "rtrace/render.py", '+= np.uint64(n_accesses)', '+= np.uint64(n_accesses & 0xFFFFFFFF)', BORDERS + " -k 32_bits"),
     Mutation("border: rays of later chunks numbered from 0", "rtrace/render.py", 'chunk.rays["ray"] += np.uint32(n_rays)', 'chunk.rays["ray"] += np.uint32(0)', BORDERS + " -k 32_bits"),
     Mutation("border: lines of nodes from addresses of 32 bits", "cachesim/lines.py",
              "first, last = address >> shift,", "first, last = (address & 0xFFFFFFFF) >> shift,", BORDERS + " -k 2_32"),
     Mutation("border: the last line of a node from an address of 32 bits", "cachesim/lines.py",
              "(address + (node_bytes - 1)) >> shift", "((address + (node_bytes - 1)) & 0xFFFFFFFF) >> shift", BORDERS + " -k 2_32"),
-    Mutation("border: an access beyond the last address begins at 0 again", "cachesim/source.py",
-             "last_byte = np.minimum(address + (np.asarray(size, np.int64) - 1), (1 << 32) - 1)",
-             "last_byte = (address + (np.asarray(size, np.int64) - 1)) & 0xFFFFFFFF", BORDERS + " -k last_addresses"),
     Mutation("border: addresses of text with 31 bits", "traces/din.py", "address[n] = value & np.uint64(0xFFFFFFFC)", "address[n] = value & np.uint64(0x7FFFFFFC)", BORDERS + " -k last_addresses"),
     Mutation("border: DineroIV's block counts in float32", "cachesim/report/dinero.py", "return np.array([fetch + read", "return np.float32([fetch + read", BORDERS + " -k whole"),
     Mutation("border: misses counted in float32", "cachesim/replay.py", "self.misses = np.zeros(N_LABELS, np.int64)", "self.misses = np.zeros(N_LABELS, np.float32)", BORDERS + " -k more_misses"),
@@ -37,7 +34,7 @@ MUTATIONS = [
     # Pictures
     Mutation("picture: no shadows", "rtrace/chunk.py", "lit[owner[k]] = 0", "lit[owner[k]] = 1", PICTURES + " -k shaded"),
     Mutation("picture: all facing surfaces in shadow", "rtrace/chunk.py", "if occluder[k] >= 0:\n            lit", "if occluder[k] >= -1:\n            lit", PICTURES + " -k shaded"),
-    Mutation("picture: the primary pass of batch 0 comes last", "rtrace/render.py", "(None,) if shooting.batch else (PRIMARY, SHADOW)", "(None,) if shooting.batch else (SHADOW, PRIMARY)", PICTURES + " -k every_order"),
+    Mutation("picture: the primary pass of batch 0 comes last", "rtrace/render.py", "for which in (PRIMARY, SHADOW):", "for which in (SHADOW, PRIMARY):", PICTURES + " -k every_order"),
     Mutation("picture: chunks of the shadow pass not drawn", "rtrace/render.py", "picture[chunk.pixels] = chunk.colours", "picture[chunk.pixels] = np.maximum(picture[chunk.pixels], chunk.colours)", PICTURES + " -k every_order"),
     Mutation("picture: pixels in shooting order", "rtrace/render.py", "picture[chunk.pixels] = chunk.colours", "picture[np.sort(chunk.pixels)] = chunk.colours", PICTURES + " -k every_order"),
     Mutation("picture: half the light", "rtrace/chunk.py", "0.74 * facing[i]", "0.37 * facing[i]", PICTURES + " -k shaded"),
@@ -62,7 +59,7 @@ MUTATIONS = [
     Mutation("render: hits as a share of all rays", "rtrace/render.py", "self.n_hits / (self.n_rays - self.n_shadow_rays)", "self.n_hits / self.n_rays", RENDERED),
     Mutation("render: shadowed as a share of the hits", "rtrace/render.py", "self.n_shadowed / self.n_shadow_rays if", "self.n_shadowed / self.n_hits if", RENDERED),
     Mutation("render: accesses per primary ray", "rtrace/render.py", "return self.n_accesses / self.n_rays", "return self.n_accesses / (self.n_rays - self.n_shadow_rays)", RENDERED),
-    Mutation("render: columns of nodes and triangles swapped in the table", "cli.py", "run.path, number(run.n_triangles), number(run.n_nodes)", "run.path, number(run.n_nodes), number(run.n_triangles)", RENDERED),
+    Mutation("render: columns of nodes and triangles swapped in the table", "nptrace/commands/render.py", "number(run.n_triangles), number(run.n_nodes)", "number(run.n_nodes), number(run.n_triangles)", RENDERED),
     Mutation("render: pre-fetches in the column of accesses", "nptrace/commands/render.py", "number(run.n_accesses), number(run.accesses_per_ray, 1)", "number(run.n_prefetches), number(run.accesses_per_ray, 1)", RENDERED),
     # replay
     Mutation("replay: KB of 1000 bytes", "cachesim/report/replay_tables.py", "r.bytes_from_memory / 1024", "r.bytes_from_memory / 1000", REPLAYED),
@@ -128,5 +125,5 @@ MUTATIONS = [
     Mutation("state: OPT counts its accesses from 0 in each batch", "cachesim/replay.py", "replay_optimal(lines, ids, labels, next_use, n_before, self.cache)",
              "replay_optimal(lines, ids, labels, next_use, 0, self.cache)", STATE),
     Mutation("state: the pre-fetch unit's stack is empty after a batch", "cachesim/prefetch.py", "policy, pieces, start = self._policy, [], 0\n", "policy, pieces, start = self._policy, [], 0\n        self._state[1] = 0\n", STATE),
-    Mutation("state: the tree cache is written in place", "rtrace/trees/tree_cache.py", "os.replace(temporary, path)", "path.write_bytes(Path(temporary).read_bytes())", TREES),
+    Mutation("state: the tree cache is written in place", "rtrace/trees/tree_cache.py", "with replacing(path) as temporary, open(temporary, \"wb\") as file:", "with open(path, \"wb\") as file:", TREES),
 ]

@@ -93,7 +93,7 @@ def test_two_renders_into_one_run_leave_one_whole_run(folder):
             assert process.returncode == 0, stderr
         assert os.listdir(folder / "traces") == ["soup-bvh"]
         run = open_run(folder / "traces" / "soup-bvh")
-        assert run.metadata["width"] == 100
+        assert run.footer.width == 100
         assert read_all(run) > 0
 
 
@@ -227,12 +227,13 @@ from pathlib import Path
 from nptrace_base.errors import NptraceError
 from traces.format import SPLIT, RunError
 from traces.writer import RunWriter
+from tests.reference.traces import make_footer
 from nptrace_base.atomic import whole_file
 if os.geteuid() == 0:
     os.setgid(65534)
     os.setuid(65534)
 try:
-    with RunWriter(Path("locked/run"), {}, SPLIT):
+    with RunWriter(Path("locked/run"), make_footer(), SPLIT):
         pass
 except RunError as e:
     print(e)

@@ -39,8 +39,8 @@ def test_render_writes_both_trees_and_says_what(folder):
     assert result.stderr.count("\n") == 1 and "float32 vertices, float64 arithmetic: the shortest edge is" in result.stderr
     for tree in ("kdtree", "bvh"):
         opened = open_run(folder / "traces" / f"ball-{tree}")
-        assert (opened.metadata["width"], opened.metadata["height"]) == (40, 30)
-        assert opened.metadata["tree"]["kind"] == tree
+        assert (opened.footer.width, opened.footer.height) == (40, 30)
+        assert opened.footer.tree.kind == tree
         assert sorted(os.listdir(opened.path)) == sorted(FILES)
 
 
@@ -60,7 +60,7 @@ def test_the_recorded_command_makes_the_same_bytes(folder):
 
     run("render", "ball.obj", "--accel", "kdtree", "--size", "33x21", "--order", "hilbert", "--kd", "coarse", "--threads", 1)
     first = folder / "traces" / "ball-kdtree"
-    words = shlex.split(open_run(first).metadata["command"])
+    words = shlex.split(open_run(first).footer.command)
     assert words[0] == "nptrace"
     run(*words[1:], "--out", "again", "--threads", 2)
     for name in FILES:
@@ -71,10 +71,10 @@ def test_options_reach_the_run(folder):
     camera = "eye=0,1,4 at=0,0,0 up=0,1,0 fov=50"
     args = ["--size", "24x24", "--camera", camera, "--light", "3,3,3", "--order", "random", "--seed", "9", "--batch", "64"]
     run("render", "ball.obj", *args, "--kd", "c_trav=1,max_level=7", "--bvh", "binned")
-    kd, bvh = (open_run(folder / "traces" / f"ball-{t}").metadata for t in ("kdtree", "bvh"))
-    assert kd["camera"]["eye"] == [0, 1, 4] and kd["camera"]["fov"] == 50 and kd["light"] == [3, 3, 3]
-    assert (kd["order"], kd["seed"], kd["batch"]) == ("random", 9, 64)
-    assert (kd["tree"]["c_trav"], kd["tree"]["max_level"], bvh["tree"]["builder"]) == (1.0, 7, "binned")
+    kd, bvh = (open_run(folder / "traces" / f"ball-{t}").footer for t in ("kdtree", "bvh"))
+    assert kd.camera.eye == (0, 1, 4) and kd.camera.fov == 50 and kd.light == (3, 3, 3)
+    assert (kd.order, kd.seed, kd.batch) == ("random", 9, 64)
+    assert (kd.tree.params["c_trav"], kd.tree.params["max_level"], bvh.tree.params["builder"]) == (1.0, 7, "binned")
 
 
 def test_check_agrees_and_exits_1_beyond_a_limit(folder, monkeypatch):
@@ -136,7 +136,7 @@ def test_bad_triangles_are_dropped_with_a_warning_or_refused(folder):
     write_obj(folder / "holes.obj", triangles)
     result = run("render", "holes.obj", "--accel", "bvh", "--size", "16x16")
     assert "2" in result.stderr and "3, 7" in result.stderr
-    assert open_run("traces/holes-bvh").metadata["scene"]["n_triangles"] == len(triangles) - 2
+    assert open_run("traces/holes-bvh").footer.scene.n_triangles == len(triangles) - 2
     assert "--strict" in run("render", "holes.obj", "--strict", code=2).stderr
 
 

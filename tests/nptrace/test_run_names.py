@@ -36,7 +36,7 @@ def test_two_scenes_of_one_name_are_refused_before_anything_is_traced(folder):
     (folder / "a-b.obj").write_text(TWO)
     assert "traces/a-b-bvh" in run("a b.obj", "a-b.obj", *SMALL, code=2)
     run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", "--name", "y")
-    counts = [open_run(folder / "traces" / f"{name}-bvh").metadata["scene"]["n_triangles"] for name in "xy"]
+    counts = [open_run(folder / "traces" / f"{name}-bvh").footer.scene.n_triangles for name in "xy"]
     assert counts == [2, 1]
     said = run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", "--name", "x", code=2)
     assert "two scenes would both be traces/x-bvh" in said
@@ -70,12 +70,12 @@ def test_a_name_changes_no_byte_of_a_run(folder):
 )
 def test_another_run_of_the_name_is_kept_unless_it_may_be_replaced(folder, args, what):
     run("a/model.obj", *SMALL)
-    before = open_run("traces/model-bvh").metadata
+    before = open_run("traces/model-bvh").footer
     said = run(*SMALL, *args, code=2)
     assert f"traces/model-bvh holds another run (of another {what}); replace it with --overwrite" in said
-    assert open_run("traces/model-bvh").metadata == before
+    assert open_run("traces/model-bvh").footer == before
     run(*SMALL, *args, "--overwrite")
-    assert open_run("traces/model-bvh").metadata != before
+    assert open_run("traces/model-bvh").footer != before
     assert os.listdir("traces") == ["model-bvh"]
 
 
@@ -86,7 +86,7 @@ def test_the_same_run_replaces_itself_also_from_another_file_and_when_damaged(fo
     for name in ("accesses", "rays", "nodes"):
         (folder / "traces" / "model-bvh" / f"{name}.parquet").write_bytes(b"PAR1 nothing")
     run("b/model.obj", *SMALL)  # nothing can be read of the one before
-    assert open_run("traces/model-bvh").metadata["scene"]["n_triangles"] == 1
+    assert open_run("traces/model-bvh").footer.scene.n_triangles == 1
 
 
 def test_nothing_is_traced_when_one_of_several_runs_would_be_lost(folder):

@@ -49,6 +49,8 @@ def poisoned(byte: int) -> Iterator[None]:
     def empty_like(*args: Any, **options: Any) -> np.ndarray:
         return fill(_empty_like(*args, **options))
 
+    # Numba looks NumPy's functions up by themselves, once, at the first compilation: it must not see ours then.
+    numba.njit(lambda n: np.empty_like(np.empty(n)))(1)
     with _in_python() as stack:
         stack.enter_context(patch.multiple(np, empty=empty, empty_like=empty_like))
         yield

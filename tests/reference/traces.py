@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.reference.cache import Unit
+from traces.footer import CameraFacts, Footer, SceneFacts, TreeFacts
 from traces.format import BOX, SPLIT
 from traces.reader import open_run
 from traces.writer import RunWriter
@@ -100,14 +101,23 @@ def _bvh_ray(rng, n_prims, child):
         node = unit.pop()
 
 
+def make_footer(**changes):
+    """Return a footer of nothing in particular with some entries changed."""
+    entries = {
+        "tool_version": "", "command": "", "scene": SceneFacts("test", "test", "", "", 8, False),
+        "camera": CameraFacts((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 45.0), "light": (0.0, 0.0, 0.0),
+        "width": 1, "height": 2, "order": "scanline", "batch": 1, "seed": 0, "tree": TreeFacts("kdtree", 8),
+    }  # fmt: skip
+    return Footer(**(entries | changes))
+
+
 def write(trace, path, repeat=1, scene="bunny", stand_in=False):
     """Write a trace as a run and open it; ``repeat`` shoots the same rays again and again."""
     n = len(trace.parent)
-    metadata = {
-        "scene": {"name": scene, "label": scene.title(), "stand_in": stand_in, "n_triangles": sum(trace.n_prims)},
-        "tree": {"kind": trace.kind, "node_bytes": trace.node_bytes},
-        "width": 1, "height": trace.n_rays, "n_rays": trace.n_rays * repeat,
-    }  # fmt: skip
+    footer = make_footer(
+        scene=SceneFacts(scene, scene.title(), "", "", sum(trace.n_prims), stand_in),
+        tree=TreeFacts(trace.kind, trace.node_bytes), width=1, height=trace.n_rays,
+    )  # fmt: skip
     rays, nodes, kinds = (np.array(column) for column in zip(*trace.rows, strict=True))
     columns = {
         "node": np.arange(n), "parent": np.array(trace.parent), "level": np.array(trace.level),
@@ -117,7 +127,7 @@ def write(trace, path, repeat=1, scene="bunny", stand_in=False):
     fields = SPLIT if trace.kind == "kdtree" else BOX
     columns |= {field.name: np.zeros(n) for field in fields}
     types, counts = np.arange(trace.n_rays) % 2, np.bincount(rays, minlength=trace.n_rays)
-    with RunWriter(path, metadata, fields) as run:
+    with RunWriter(path, footer, fields) as run:
         run.append("nodes", columns)
         for turn in range(repeat):
             first = turn * rays.size + np.cumsum(counts) - counts

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from tests.reference.traces import make_footer
 from traces import format as fmt
 from traces import writer
 from traces.format import SPLIT, RunError
@@ -47,12 +48,9 @@ def tables(n_accesses=5):
     return {"rays": rays, "accesses": accesses, "nodes": nodes}
 
 
-TREE = {"kind": "kdtree", "node_bytes": 8}
-
-
-def write(path, n_accesses=5, pieces=1, **metadata):
+def write(path, n_accesses=5, pieces=1, **entries):
     data = tables(n_accesses)
-    with RunWriter(path, {"scene": {"name": "test"}, "tree": TREE, **metadata}, SPLIT) as run:
+    with RunWriter(path, make_footer(**entries), SPLIT) as run:
         run.append("rays", data["rays"])
         run.append("nodes", data["nodes"])
         for piece in np.array_split(np.arange(n_accesses), pieces):
@@ -69,7 +67,7 @@ def read_all(run, names=("ray", "node", "kind")):
 def test_what_is_written_is_read(tmp_path):
     data = write(tmp_path / "a", seed=4)
     run = open_run(tmp_path / "a")
-    assert run.metadata["seed"] == 4 and run.metadata["format_version"] == fmt.FORMAT_VERSION
+    assert run.footer.seed == 4
     assert run.n_accesses == 5 and run.name == "a"
     for table in ("rays", "nodes"):
         for name, column in run.columns(table).items():
@@ -92,7 +90,7 @@ def test_row_groups_and_bytes_do_not_depend_on_the_pieces(tmp_path, monkeypatch)
 
 def test_an_empty_trace_is_a_run(tmp_path):
     data = tables(2)
-    with RunWriter(tmp_path / "empty", {"tree": TREE}, SPLIT) as run:
+    with RunWriter(tmp_path / "empty", make_footer(), SPLIT) as run:
         run.append("nodes", data["nodes"])
         run.image(b"")
     assert open_run(tmp_path / "empty").n_accesses == 0
@@ -102,11 +100,11 @@ def test_an_empty_trace_is_a_run(tmp_path):
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_a_failure_leaves_nothing_and_keeps_the_earlier_run(tmp_path, error):
     write(tmp_path / "run", seed=1)
-    with pytest.raises(error), RunWriter(tmp_path / "run", {"seed": 2}, SPLIT) as run:
+    with pytest.raises(error), RunWriter(tmp_path / "run", make_footer(seed=2), SPLIT) as run:
         run.append("nodes", tables()["nodes"])
         raise error("stop")
     assert os.listdir(tmp_path) == ["run"]
-    assert open_run(tmp_path / "run").metadata["seed"] == 1
+    assert open_run(tmp_path / "run").footer.seed == 1
 
 
 def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, monkeypatch):
@@ -122,7 +120,7 @@ def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, monkeypatch):
 def test_a_run_replaces_a_run_but_nothing_else(tmp_path):
     write(tmp_path / "run", seed=1)
     write(tmp_path / "run", seed=2)
-    assert open_run(tmp_path / "run").metadata["seed"] == 2
+    assert open_run(tmp_path / "run").footer.seed == 2
     assert os.listdir(tmp_path) == ["run"]
     other = tmp_path / "letters"
     other.mkdir()
@@ -144,7 +142,7 @@ def test_runs_are_replaced_with_and_without_an_exchange_in_one_step(tmp_path, mo
     monkeypatch.setattr(writer, "_exchange", exchange)
     for seed in (1, 2, 3):
         write(tmp_path / "run", seed=seed)
-        assert open_run(tmp_path / "run").metadata["seed"] == seed
+        assert open_run(tmp_path / "run").footer.seed == seed
     assert os.listdir(tmp_path) == ["run"]
     assert exchanged == [can_exchange] * 2
 
@@ -153,7 +151,8 @@ def test_what_a_killed_writer_left_is_swept(tmp_path):
     code = (
         "import os, signal; from pathlib import Path\n"
         "from traces.format import SPLIT; from traces.writer import RunWriter\n"
-        f"with RunWriter(Path({str(tmp_path / 'run')!r}), {{}}, SPLIT): os.kill(os.getpid(), signal.SIGKILL)"
+        "from tests.reference.traces import make_footer\n"
+        f"with RunWriter(Path({str(tmp_path / 'run')!r}), make_footer(), SPLIT): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code], check=False)
     left = os.listdir(tmp_path)
@@ -167,9 +166,9 @@ def test_a_run_set_aside_by_a_killed_writer_comes_back(tmp_path):
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     (tmp_path / "run").rename(tmp_path / f".run.{gone.pid}-00ff.old")
-    with pytest.raises(ValueError, match="stop"), RunWriter(tmp_path / "run", {}, SPLIT):
+    with pytest.raises(ValueError, match="stop"), RunWriter(tmp_path / "run", make_footer(), SPLIT):
         raise ValueError("stop")
-    assert open_run(tmp_path / "run").metadata["seed"] == 1
+    assert open_run(tmp_path / "run").footer.seed == 1
 
 
 def rewrite_footer(path, change):

@@ -181,16 +181,6 @@ def test_other_types_of_the_same_numbers_and_other_orders_of_columns_read_the_sa
     assert set(open_run(run).columns("rays")) == {"ray", "x", "y", "type", "first", "count", "prim", "t"}
 
 
-@pytest.mark.parametrize(
-    "tree", [None, {}, {"kind": "kdtree"}, {"kind": "kdtree", "node_bytes": 1 << 40}, {"kind": "x", "node_bytes": 8}]
-)
-def test_a_footer_without_a_good_tree(tmp_path, tree, monkeypatch):
-    run = write(make_trace("bvh", 1, n_rays=3), tmp_path / "a-bvh")
-    run.metadata["tree"] = tree
-    with pytest.raises(RunError, match="has a footer without|only kdtree and bvh are known"):
-        _ = run.tree
-
-
 def test_layouts_take_only_trees():
     nodes = {"parent": np.array([-1, 0, 0, 0, 0]), "level": np.array([0, 1, 1, 1, 1])}
     for layout in ("dfs", "veb", "treelet:64"):

@@ -17,7 +17,7 @@ import cli
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.sweep import sweep
-from tests.reference.traces import make_trace, write
+from tests.reference.traces import make_footer, make_trace, write
 from traces import din
 from traces.din import DinTrace, export_din
 from traces.format import SPLIT
@@ -181,7 +181,7 @@ def test_names_that_are_no_text(tmp_path):
     made = write(make_trace("kdtree", 2, n_rays=4), folder / os.fsdecode(b"bunn\xff-kdtree"))
     assert made.name == "bunn\\xff-kdtree"
     assert made.columns("rays")["count"].sum() == made.n_accesses
-    with RunWriter(folder / os.fsdecode(b"\xfe"), {}, SPLIT) as run:
+    with RunWriter(folder / os.fsdecode(b"\xfe"), make_footer(), SPLIT) as run:
         run.append("nodes", {name: column for name, column in made.columns("nodes").items()})
         run.image(b"")
     assert open_run(folder / os.fsdecode(b"\xfe")).n_nodes == made.n_nodes

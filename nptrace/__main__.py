@@ -1,0 +1,62 @@
+"""Where the two programs start, also as ``python -m nptrace``: nothing else is imported before it is known to be ours.
+
+Other distributions have packages of our names (PyPI's pycachesim is imported as ``cachesim``, its traces as ``traces``).
+Beside ours they hide it, or are installed over it; then a traceback from the middle of a command would tell nobody why.
+"""
+
+import importlib
+import importlib.util
+import os
+import sys
+from typing import NoReturn
+
+import nptrace as ours
+
+#: What is ours at the top of site-packages beside this package; ``cli`` last, which imports the others.
+PARTS = ("nptrace_base", "traces", "rtrace", "cachesim", "cli")
+
+
+def check_parts() -> None:
+    """Leave with one sentence, exit status 2, if a part is another distribution's."""
+    for name in PARTS:
+        spec = importlib.util.find_spec(name)
+        where = spec and (spec.origin or next(iter(spec.submodule_search_locations or ()), None))
+        if not where:
+            _leave(f"{name}, a part of nptrace, is missing; install nptrace again")
+        beside = os.path.dirname(where) if name == "cli" else os.path.dirname(os.path.dirname(where))
+        if beside != os.path.dirname(os.path.dirname(ours.__file__)) or not _is_ours(name):
+            _leave(
+                f"{name} is imported from {where}, which is not nptrace's: another package of that name hides it; take that "
+                "off PYTHONPATH, or install nptrace into an environment of its own"
+            )
+
+
+def _is_ours(name: str) -> bool:
+    """Return whether a package that lies where ours does was not replaced by another one; ``cli`` is ours if these are."""
+    if name == "cli":
+        return True
+    try:
+        return getattr(importlib.import_module(name), "PART_OF", None) == "nptrace"
+    except ImportError:
+        return False
+
+
+def _leave(sentence: str) -> NoReturn:
+    print(f"Error: {sentence}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def nptrace() -> None:
+    """Run stage 1."""
+    check_parts()
+    importlib.import_module("cli").nptrace()
+
+
+def npcache() -> None:
+    """Run stage 2."""
+    check_parts()
+    importlib.import_module("cli").npcache()
+
+
+if __name__ == "__main__":
+    nptrace()

@@ -1,0 +1,174 @@
+"""The footer of a run: all that decides its bytes, and the sizes of its tables. The renderer writes it, all others read it.
+
+In the files it is JSON, the same in each; in the code it is a ``Footer``. README.md lists the entries.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from traces.format import FORMAT_VERSION, RunError
+
+#: Bytes that a node may have: with fewer than 2^32 nodes no address overflows.
+MAX_NODE_BYTES = 1 << 20
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFacts:
+    """The triangles of a run; ``name`` is fit for a file, ``label`` is printed, ``sha256`` is that of the triangles."""
+
+    name: str
+    label: str
+    source: str
+    sha256: str
+    n_triangles: int
+    stand_in: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFacts:
+    """The camera of a run, in the units of the scene; ``fov`` is the vertical field of view in degrees."""
+
+    eye: Point
+    look_at: Point
+    up: Point
+    fov: float
+
+
+@dataclass(frozen=True, slots=True)
+class TreeFacts:
+    """The tree of a run: ``"kdtree"`` or ``"bvh"``, the bytes of a node, and what its builder was asked for."""
+
+    kind: str
+    node_bytes: int
+    params: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Footer:
+    """What is known of a run without reading its rows.
+
+    Attributes
+    ----------
+    tool_version, command : str
+        What wrote it; ``command`` makes it again.
+    scene : SceneFacts
+    camera : CameraFacts
+    light : 3 floats
+    width, height : int
+        Pixels.
+    order : str
+        Of the pixels.
+    batch : int
+        Primary rays before their shadow rays; 0: all of them.
+    seed : int
+        Of the random order.
+    tree : TreeFacts
+    layout, prefetch : str and dict
+        Where the nodes lie, and the policy whose requests are in the trace.
+    image_sha256 : str or None
+        Of ``image.png``; runs of earlier versions lack it.
+    n_accesses, n_rays, n_nodes : int
+        Rows of the three tables; the writer counts them.
+    """
+
+    tool_version: str
+    command: str
+    scene: SceneFacts
+    camera: CameraFacts
+    light: Point
+    width: int
+    height: int
+    order: str
+    batch: int
+    seed: int
+    tree: TreeFacts
+    layout: str = "as stored"
+    prefetch: Mapping[str, Any] = field(default_factory=lambda: {"policy": "stack", "budget": "unlimited"})
+    image_sha256: str | None = None
+    n_accesses: int = 0
+    n_rays: int = 0
+    n_nodes: int = 0
+
+    def to_json(self) -> bytes:
+        """Return the text that stands in the files."""
+        values = asdict(self)
+        values["tree"] |= values["tree"].pop("params")
+        if self.image_sha256 is None:
+            del values["image_sha256"]
+        return json.dumps({"format_version": FORMAT_VERSION, **values}, sort_keys=True).encode()
+
+    def differences(self, other: "Footer") -> list[str]:
+        """Return the entries in which two runs are not the same; who wrote them, and where the mesh lies, do not count."""
+        mesh, others = ((footer.scene.sha256, footer.scene.stand_in) for footer in (self, other))
+        if mesh != others:
+            return ["scene"]  # its camera and light are others too
+        return [name for name in _CONTENT if getattr(self, name) != getattr(other, name)]
+
+
+#: The entries that decide the bytes of a run, apart from its scene.
+_CONTENT = ("camera", "light", "width", "height", "order", "batch", "seed", "tree", "layout", "prefetch")
+
+
+def parse_footer(text: bytes, path: Path) -> Footer:
+    """Return the footer of the run at ``path``; RunError if it is none, of another format version, or lacks an entry."""
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as e:
+        raise RunError(f"{path} is damaged ({e} in its footer); render it again") from e
+    if not isinstance(values, dict):
+        raise RunError(f"{path} is damaged (its footer is {str(values)[:40]!r}, no object); render it again")
+    version = _checked(object, values.get("format_version"), "format_version", path)
+    if version != FORMAT_VERSION:
+        raise RunError(f"{path} has format version {version}, this program reads {FORMAT_VERSION}; render it again")
+    footer: Footer = _parsed(Footer, values, "", path)
+    tree = footer.tree
+    if tree.kind not in ("kdtree", "bvh") or not 1 <= tree.node_bytes <= MAX_NODE_BYTES:
+        raise RunError(f"{path} is of a {tree.kind!r} of {tree.node_bytes}-byte nodes; only kdtree and bvh are known")
+    return footer
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+#: What an entry of a type is in JSON, and whether a value is that.
+_RULES: dict[object, tuple[str, Callable[[Any], bool]]] = {
+    object: ("a value", lambda value: value is not None),
+    str: ("a text", lambda value: isinstance(value, str)),
+    str | None: ("a text", lambda value: isinstance(value, str)),
+    bool: ("true or false", lambda value: isinstance(value, bool)),
+    int: ("a whole number from 0", lambda value: type(value) is int and value >= 0),
+    float: ("a number", _is_number),
+    Point: ("three numbers", lambda value: isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))),
+    dict: ("an object", lambda value: isinstance(value, dict)),
+    Mapping[str, Any]: ("an object", lambda value: isinstance(value, dict)),
+}
+
+
+def _checked(type_: object, value: Any, entry: str, path: Path) -> Any:
+    """Return an entry's value, a tuple for a list; RunError if it is not of the type."""
+    if value is None:
+        raise RunError(f"{path} has no {entry} in its footer; render it again")
+    rule, is_good = _RULES[type_]
+    if not is_good(value):
+        raise RunError(f"{path} has {str(value)[:40]!r} as {entry} in its footer, and not {rule}; render it again")
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _parsed(facts: Any, values: dict[str, Any], of: str, path: Path) -> Any:
+    """Return the dataclass ``facts`` with its entries from JSON; ``of`` is the entry it stands in."""
+    found = {}
+    for each in fields(facts):
+        entry, value = f"{of}{each.name}", values.get(each.name)
+        if each.name == "params":  # they stand among the entries of the tree
+            found[each.name] = {name: value for name, value in values.items() if name not in found}
+        elif is_dataclass(each.type):
+            found[each.name] = _parsed(each.type, _checked(dict, value, entry, path), f"{entry}.", path)
+        elif value is not None or each.name != "image_sha256":
+            found[each.name] = _checked(each.type, value, entry, path)
+    return facts(**found)
