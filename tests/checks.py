@@ -1,4 +1,4 @@
-"""Run all tests and write what each did: ``python -m tests.checks [-o FILE.json] [pytest's arguments]``, for the docs.
+"""Run all tests and write the counts of each: ``python -m tests.checks [-o FILE.json] [pytest's arguments]``, for the docs.
 
 Also the pytest plugin behind it (``-p tests.checks --checks FILE``). A check is one test function. It counts its cases: the
 examples of hypothesis, or what it recorded as ``cases``, or the tests it was parametrized to. ``largest error`` is what it

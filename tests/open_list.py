@@ -1,6 +1,6 @@
-"""The open list of hard cases that this project set out with, and which tests cover each: a table of docs/correctness.md.
+"""The hard cases that this project set out with, and the tests that cover each: a table of docs/correctness.md.
 
-A test is ``file::function`` without ``test_`` in front of either; a hard case (``rtrace/checks/hard_cases.py``) stands in quotes.
+A test is ``file::function`` without ``test_`` in front of either; a hard case (``rtrace/checks/hard_cases.py``) is in quotes.
 """
 
 # ruff: noqa: E501
@@ -83,7 +83,7 @@ OPEN_LIST = [
     Entry("D22", "agreement with Embree", ("embree::trees_agree_with_embree_on_the_scenes", "embree::trees_agree_with_embree_on_small_shapes")),
     Entry("D23", "a mesh of any bits: no crash, no hang",
           ("metamorphic::a_mesh_of_any_bits_is_traced_or_refused", "fuzz::any_input_is_accepted_or_refused_in_one_sentence")),
-    Entry("D24", "caches against streams made by hand, inclusion of LRU, stack distances",
+    Entry("D24", "caches on streams with known answers, inclusion of LRU, stack distances",
           ("replay::every_count_is_that_of_the_model", "replay::more_ways_never_miss_more",
            "sweep::distances_are_those_of_a_list", "dinero_golden::every_printed_counter")),
     Entry("D25", "with and without the filter: the same counts", ("sweep::the_filter_changes_no_count",)),

@@ -1,4 +1,4 @@
-"""What counts the checks counts right, and the open list names tests and hard cases that exist."""
+"""The counts of ``tests.checks`` are right, and the open list names existing tests and hard cases."""
 
 import ast
 import json

@@ -63,7 +63,7 @@ class Run:
 
     @property
     def n_accesses(self) -> int:
-        """Rows of ``accesses.parquet``, pre-fetches included."""
+        """Rows of ``accesses.parquet``, prefetches included."""
         return self.footer.n_accesses
 
     def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
@@ -155,7 +155,7 @@ def open_run(path: Path | str) -> Run:
             image = hashlib.sha256((path / "image.png").read_bytes()).hexdigest()
         except OSError as e:
             raise _damaged(path / "image.png", e) from e
-        if footer.image_sha256 not in (image, None):  # runs of earlier versions do not say
+        if footer.image_sha256 not in (image, None):  # earlier versions have no checksum
             raise RunError(f"{path / 'image.png'} is damaged (its checksum is wrong); render it again")
         run = Run(path, files, footer)
         weakref.finalize(run, handles.pop_all().close)

@@ -228,7 +228,7 @@ def check_rays(columns: Mapping[str, np.ndarray], path: Path, footer: Footer) ->
         ("t", np.isnan(columns["t"]), "a hit has a distance, and infinity is none"),
     ]
     for name, limit in limits.items():
-        rules.append((name, columns[name] >= limit, f"it is below {limit}, as the footer says"))
+        rules.append((name, columns[name] >= limit, f"it is below {limit}, the footer's value"))
     for name, wrong, rule in rules:
         if wrong.any():
             row = int(np.argmax(wrong))

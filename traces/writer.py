@@ -125,7 +125,7 @@ class _Table:
 
 
 class RunWriter:
-    """Write one run; as a context manager; the run appears complete at the end, or not at all.
+    """Write one run, as a context manager: the run appears complete at the end, or not at all.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """The benchmark scenes by name: where each is found, how it is recognised, and its camera and light.
 
-A scene is taken from the folder $NPTRACE_SCENES, else from the user's cache, else downloaded, else a built-in stand-in takes
-its place. None of the four comes with this program: their licences are their authors'.
+A scene comes from the folder $NPTRACE_SCENES, otherwise from the user's cache or a download; otherwise a built-in stand-in
+takes its place. None of the four comes with this program: their licences are their authors'.
 
 A downloaded archive is believed if its sha256 is one that was recorded, or if the mesh in it has exactly the triangles by
 which the scene is known. Nothing half-done stays: the archive lives in a temporary folder, a cached file appears whole.

@@ -27,7 +27,7 @@ def download(url: str, member: str, folder: Path) -> tuple[Path, str]:
     import pooch
     import requests
 
-    pooch.get_logger().setLevel("ERROR")  # it would tell the user what was just told
+    pooch.get_logger().setLevel("ERROR")  # it would repeat the notice
     downloader = pooch.HTTPDownloader(headers=_HEADERS, timeout=TIMEOUT)
     try:
         name = Path(urlsplit(url).path).name

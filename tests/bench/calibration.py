@@ -3,7 +3,7 @@
 Every unit of a run is counted once, shortly and after a long warm-up, and so is the whole run; then each of many seeds samples
 from these counts, which costs no tracing. Written to docs/data/calibration.csv, one row per scene, tree, picture and set of
 caches, as soon as it is known; rows that are there already are kept. The four scenes are sampled for the default target, the
-unkind pictures of ``tests.bench.step_pictures`` for a wide one, as most of them are counted exactly for a narrow one.
+misleading pictures of ``tests.bench.step_pictures`` for a wide one, as most of them are counted exactly for a narrow one.
 """
 
 import argparse

@@ -487,7 +487,7 @@ def test_a_plot_without_misses_or_pre_fetches(tmp_path):
     pytest.importorskip("matplotlib")
     plot(sweep(Listed([]), [CacheConfig(64, 1, 16)], prefetch="none"), tmp_path / "empty.svg")
     plot(sweep(Listed([(1, 0)]), [CacheConfig(64, 1, 16)], prefetch="none"), tmp_path / "one.svg")
-    assert "pre-fetching" not in (tmp_path / "one.svg").read_text()
+    assert "prefetching" not in (tmp_path / "one.svg").read_text()
 
 
 def test_a_plot_says_what_it_needs(rows, tmp_path, monkeypatch):

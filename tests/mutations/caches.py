@@ -1,4 +1,4 @@
-"""More mutations for ``tests.mutations``: builders, clipping and sorting; sweep, stack distances, filter and OPT; whole files."""
+"""Mutations of builders, clipping and sorting; sweep, stack distances, filter and OPT; atomic output."""
 
 # ruff: noqa: E501
 # fmt: off

@@ -1,4 +1,4 @@
-"""More mutations for ``tests.mutations``: what an estimate says of itself, its variances, its file of counts."""
+"""Mutations of an estimate: its claims, its variances, its file of counts."""
 
 # ruff: noqa: E501
 # fmt: off

@@ -1,6 +1,6 @@
 # ruff: noqa: E501
 # fmt: off
-"""Mutations of what visits mean: margins of strays, zeros, rays that are none, cut chunks, cameras, kernels in Python."""
+"""Mutations of the rules of visits: margins of strays, zeros, invalid rays, cut chunks, cameras, kernels in Python."""
 
 from tests.mutations.mutation import Mutation
 

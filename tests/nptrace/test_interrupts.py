@@ -1,4 +1,4 @@
-"""Ctrl-C, in every command: exit status 130, soon, not a word, and nothing half written."""
+"""Ctrl-C in every command: exit status 130, promptly, silently, without incomplete files."""
 
 import os
 import pty

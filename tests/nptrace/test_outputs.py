@@ -1,4 +1,4 @@
-"""Where an output goes: through links, into FIFOs, devices and open files, with the permissions there were, or a sentence."""
+"""The targets of outputs: through links, into FIFOs, devices and open files, with existing permissions, or a sentence."""
 
 import os
 import stat

@@ -1,4 +1,4 @@
-"""Every value that a command prints of a run, as table, JSON, CSV or file, computed again from the run's own files."""
+"""Every value that a command prints about a run, as table, JSON, CSV or file, recomputed from the run's files."""
 
 import csv
 import io
@@ -117,7 +117,7 @@ def test_replay(traces, tree, prefetch, base):
         assert got == {name: "" if value is None else str(value) for name, value in want.items()}
     table = call(cli.npcache, *args).stdout
     n_requests = sum(want["prefetch_accesses"] for want in wanted)
-    assert (n_requests > 0) == (prefetch != "none") == ("its pre-fetches" in table)
+    assert (n_requests > 0) == (prefetch != "none") == ("prefetches of" in table)
     lines = [words[5:] for words in table_rows(table, r" \d+K? +\d-way ")]
     for want, words in zip(wanted, lines, strict=False):
         kb = number(want["bytes_from_memory"] / 1024)

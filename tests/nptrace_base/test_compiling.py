@@ -1,4 +1,4 @@
-"""Compiling: ahead of the first use, said when it happens, and never the same kernel twice."""
+"""Compiling: ahead of the first use, announced when it happens, and never the same kernel twice."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Where kernels and trees are kept: nowhere that others may write, never those of other sources, and trouble stops nothing."""
+"""Where kernels and trees are kept: nowhere that others may write, never those of other sources; failures stop nothing."""
 
 import ast
 import os

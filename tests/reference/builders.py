@@ -1,4 +1,4 @@
-"""The builders' own code run by Python, for tests: with scratch memory poisoned, or with every step of a kd-tree's checked."""
+"""The builders' code run as plain Python: with scratch memory poisoned, or with every step of a kd-tree's checked."""
 
 import contextlib
 import itertools

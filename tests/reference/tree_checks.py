@@ -1,6 +1,6 @@
-"""What holds for every tree, whatever its triangles: its structure, what its leaves list (by exact clipping) and its hits.
+"""Properties of every tree, whatever its triangles: its structure, what its leaves list (by exact clipping) and its hits.
 
-And the scenes to try it on, on which builders break: any bits, few whole numbers, slivers as wide as float64's cos(pi/2).
+Also scenes on which builders break: random bits, few integers, slivers as wide as float64's cos(pi/2).
 """
 
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""The benchmark scenes at full size: visits, derived pre-fetches, tree quality against independent numbers."""
+"""The benchmark scenes at full size: visits, derived prefetches, tree quality against independent numbers."""
 
 import os
 

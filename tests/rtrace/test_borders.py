@@ -1,4 +1,4 @@
-"""Numbers at the borders of their types, chunks and stacks: 8192 pixels, 2^32 rows and addresses, 2^24 misses, depth 64."""
+"""Numbers at the limits of their types, chunks and stacks: 8192 pixels, 2^32 rows and addresses, 2^24 misses, depth 64."""
 
 import csv
 import io

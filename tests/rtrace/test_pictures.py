@@ -1,4 +1,4 @@
-"""The picture of a run against its own tables: colours, shadows, and what every order and batch must show; shadow offsets."""
+"""The picture of a run compared with its tables: colours, shadows, every order and batch; shadow offsets."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""Values of a run that cannot be: one sentence that names file, column, row and rule, from all that reads runs."""
+"""Impossible values in a run: one sentence that names file, column, row and rule, from every reader of runs."""
 
 import numpy as np
 import pyarrow as pa

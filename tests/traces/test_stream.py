@@ -1,4 +1,4 @@
-"""Traces as people have them: from pipes and stdin, packed, in other encodings; opened once; names that are no text."""
+"""Traces from practice: from pipes and stdin, compressed, in other encodings; opened once; names that are not text."""
 
 import bz2
 import gzip

@@ -1,4 +1,4 @@
-"""Replay from an unknown start: certain and open misses against a cache that saw the whole trace."""
+"""Replay from an unknown start: known and unknown references, compared with a cache that saw the whole trace."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What an estimate says of itself, recomputed without its code: quantities, shares, seconds, half-widths, batches, parts."""
+"""The claims of an estimate, recomputed without its code: quantities, shares, seconds, half-widths, batches, parts."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""All structures are right on every hard case, exact arithmetic is right where a hand can compute, broken rules are caught."""
+"""All structures are right on all hard cases, exact arithmetic is right where the answer is known, broken rules are caught."""
 
 import functools
 import math

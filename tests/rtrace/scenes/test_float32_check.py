@@ -1,4 +1,4 @@
-"""What float32 makes of triangles, against exact fractions."""
+"""The effect of float32 on triangles, compared with exact fractions."""
 
 from fractions import Fraction
 

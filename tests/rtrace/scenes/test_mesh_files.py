@@ -1,4 +1,4 @@
-"""Mesh files as people have them: each legal oddity is read, each other one is refused in a sentence that helps."""
+"""Mesh files from practice: each legal oddity is read, each other one is refused in a sentence that helps."""
 
 # ruff: noqa: E501
 
