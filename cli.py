@@ -12,8 +12,6 @@ from nptrace.commands.table1 import table1
 from nptrace.groups import Commands
 
 nptrace = Commands(
-    "nptrace", [render, scenes, check, export, compile_], help="Stage 1: a scene -> the node accesses of its rays."
+    "nptrace", [render, scenes, check, export, compile_], help="Stage 1: render scenes and record every node access."
 )
-npcache = Commands(
-    "npcache", [replay, sweep, estimate, table1], help="Stage 2: node accesses -> what a node cache makes of them."
-)
+npcache = Commands("npcache", [replay, sweep, estimate, table1], help="Stage 2: replay node accesses through node caches.")

@@ -1,4 +1,4 @@
-"""What one cache is: sizes as people write them -> CacheConfig, checked once."""
+"""The configuration of one cache: sizes as text -> CacheConfig, checked once."""
 
 import re
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ def parse_bytes(text: str) -> int:
 
 
 def format_bytes(n: int) -> str:
-    """Return a byte size with the largest unit that leaves it whole: 8192 -> 8K."""
+    """Return a byte size in the largest unit that divides it: 8192 -> 8K."""
     for unit in ("G", "M", "K"):
         if n and n % (1 << _UNITS[unit]) == 0:
             return f"{n >> _UNITS[unit]}{unit}"
@@ -50,11 +50,11 @@ class CacheConfig:
     line_bytes : int
         A power of two.
     policy : str
-        ``"lru"``, ``"fifo"``, ``"random"``, or ``"opt"``: of a full set the line goes whose next access is farthest away
-        (Belady 1966). No replacement that fills at every miss, as these do, has fewer misses, demand and pre-fetch together;
-        an access to come counts whoever makes it. A cache that may leave a line out (bypass) could have fewer still.
+        ``"lru"``, ``"fifo"``, ``"random"``, or ``"opt"``: the line whose next access is farthest away leaves a full set
+        (Belady 1966). No replacement that fills at every miss, as these do, has fewer misses, demand and prefetch together;
+        every later access counts, demand or prefetch. A cache that may leave a line out (bypass) could have fewer still.
     seed : int
-        Of the random policy. Its generator is SplitMix64, so the victims cannot be those of another program.
+        Seed of random replacement. Its generator is SplitMix64, so other programs choose other victims.
     """
 
     size_bytes: int
@@ -81,7 +81,7 @@ class CacheConfig:
         if self.policy not in POLICIES:
             raise NptraceError(f"{self.policy!r} is not a replacement policy; choose one of {', '.join(POLICIES)}")
         if not 0 <= self.seed < 1 << 64:
-            raise NptraceError(f"a seed of {self.seed} does not fit; choose one from 0 to 2^64 - 1")
+            raise NptraceError(f"a seed of {self.seed} is out of range; choose one from 0 to 2^64 - 1")
 
     @property
     def n_sets(self) -> int:

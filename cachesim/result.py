@@ -1,4 +1,4 @@
-"""What a replay counted: one Result per source and configuration, with every metric under its exact name."""
+"""The counts of a replay: one Result per source and configuration, with every metric under its exact name."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,7 +20,7 @@ def ratio(numerator: float, denominator: float) -> float | None:
 
 @dataclass
 class Result:
-    """Counts of one replay. Arrays are (16,) int64, one entry per label; the label's bit 8 marks a pre-fetch.
+    """Counts of one replay. Arrays are (16,) int64, one entry per access type; the type's bit 8 marks a prefetch.
 
     Attributes
     ----------
@@ -29,16 +29,16 @@ class Result:
     n_rays : int or None
         None for a trace without rays.
     accesses, misses : array
-        Every line touched counts: an event over a line boundary is two accesses; ``n_splits`` is how many were added so.
+        Every line touched counts: an event across a line boundary is two accesses; ``n_splits`` counts the additional ones.
     compulsory, capacity, conflict : array
         Of the misses; only with ``has_3c``. A miss that the fully associative cache of the same size and policy has is a
-        conflict; else it is compulsory at the first touch of its line, else capacity.
+        conflict; otherwise it is compulsory at the first touch of its line, otherwise capacity.
     useful, useless, resident : int
-        Of the lines that pre-fetches filled: demanded later, evicted before that, or neither until the end.
+        Of the lines that prefetches filled: demanded later, evicted before that, or neither by the end.
     pollution : int
-        Demand misses on lines that a pre-fetch had evicted.
+        Demand misses on lines that a prefetch had evicted.
     demand_misses_without : int
-        Demand misses of the same trace without its pre-fetches (the paper's configuration A).
+        Demand misses of the same trace without its prefetches (the paper's configuration A).
     """
 
     run: str
@@ -71,17 +71,17 @@ class Result:
 
     @property
     def prefetch_accesses(self) -> int:
-        """Pre-fetch requests issued."""
+        """Prefetch requests issued."""
         return int(self.accesses[PREFETCH:].sum())
 
     @property
     def prefetch_misses(self) -> int:
-        """Pre-fetch requests that filled a line."""
+        """Prefetch requests that filled a line."""
         return int(self.misses[PREFETCH:].sum())
 
     @property
     def bytes_from_memory(self) -> int:
-        """Fills, by demand and by pre-fetch, times the line size."""
+        """Fills, by demand and by prefetch, times the line size."""
         return (self.demand_misses + self.prefetch_misses) * self.config.line_bytes
 
     @property
@@ -91,7 +91,7 @@ class Result:
 
     @property
     def paper_miss_rate(self) -> float | None:
-        """All misses / all accesses, pre-fetches included in both."""
+        """All misses / all accesses, prefetches included in both."""
         return ratio(self.demand_misses + self.prefetch_misses, self.demand_accesses + self.prefetch_accesses)
 
     @property
@@ -101,13 +101,13 @@ class Result:
 
     @property
     def coverage(self) -> float | None:
-        """1 - demand misses with / without pre-fetching."""
+        """1 - demand misses with / without prefetching."""
         remaining = ratio(self.demand_misses, self.demand_misses_without)
         return None if remaining is None else 1.0 - remaining
 
     @property
     def traffic_ratio(self) -> float | None:
-        """Bytes from memory with / without pre-fetching."""
+        """Bytes from memory with / without prefetching."""
         return ratio(self.bytes_from_memory, self.demand_misses_without * self.config.line_bytes)
 
     def to_dict(self) -> dict[str, Any]:

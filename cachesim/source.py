@@ -16,7 +16,7 @@ from traces.din import DinTrace
 from traces.reader import Run, open_run
 from traces.stream import STDIN
 
-#: Events handed on at a time: their arrays stay in a core's share of the last-level cache.
+#: Events per batch: their arrays fit into a core's share of the last-level cache.
 BATCH = 1 << 18
 
 
@@ -25,17 +25,17 @@ class Source(Protocol):
 
     name: str
     n_rays: int | None
-    n_events: int | None  # None when only reading the trace tells
+    n_events: int | None  # None when the trace has to be read to know
     layout: Layout
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[Any, np.ndarray]]:
-        """Yield batches of (events, labels): what ``Lines`` takes."""
+        """Yield batches of (events, access types), the input of ``Lines``."""
 
     def check_passes(self, n_passes: int) -> None:
-        """Raise a ValueError if ``events`` cannot be asked for so many times."""
+        """Raise a StreamError if ``events`` cannot be read that many times."""
 
     def lines(self, line_bytes: int, ahead: int) -> Lines:
-        """Return the lines of this source for one line size; a pre-fetcher may go ``ahead`` lines beyond an access."""
+        """Return the lines of this source for one line size; a prefetcher may go ``ahead`` lines beyond an access."""
 
 
 def open_source(path: Path | str, layout: Layout | str = "stored") -> Source:
@@ -69,7 +69,7 @@ class RunSource:
             self._addresses = addresses(run.columns("nodes", ["level", "parent"]), self._node_bytes, self.layout)
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield (node, label) batches; the reader has checked that the nodes are the tree's."""
+        """Yield (node, access type) batches; the reader has checked that the nodes are the tree's."""
         unit = None
         if prefetch.kind == "stack":
             where = str(self.run.path / "accesses.parquet")
@@ -87,7 +87,7 @@ class RunSource:
                     yield demand, np.zeros(demand.size, np.uint8)
 
     def check_passes(self, n_passes: int) -> None:
-        """Do nothing: a run can be read again and again."""
+        """Do nothing: a run can be read repeatedly."""
 
     def lines(self, line_bytes: int, ahead: int) -> "NodeLines":
         """Return the lines of the nodes."""
@@ -104,13 +104,13 @@ class DinSource:
         self.layout = parse_layout(layout) if isinstance(layout, str) else layout
         if self.layout != Layout("stored"):
             raise NptraceError(
-                f"{trace.stream.where} has addresses, not nodes, so it cannot be laid out as {self.layout}; use stored"
+                f"{trace.stream.where} has addresses, not nodes, so it cannot use the layout {self.layout}; use stored"
             )
         self.trace = trace
         self.name = trace.stream.name
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[tuple[np.ndarray, np.ndarray | int], np.ndarray]]:
-        """Yield ((address, size), label) batches."""
+        """Yield ((address, size), access type) batches."""
         if prefetch.kind == "stack":
             raise NptraceError(
                 f"{self.trace.stream.where} has addresses, not pushes, so no stack can be rebuilt for {prefetch}; "
@@ -124,7 +124,7 @@ class DinSource:
             yield (address, size), labels
 
     def check_passes(self, n_passes: int) -> None:
-        """Raise a StreamError if the trace comes from a pipe and is to be read more than once."""
+        """Raise a StreamError if the trace comes from a pipe and has to be read more than once."""
         self.trace.stream.check_passes(n_passes)
 
     def lines(self, line_bytes: int, ahead: int) -> "AddressLines":
@@ -133,7 +133,7 @@ class DinSource:
 
 
 def demand_only(values: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (uint32 value, label) pairs that are not pre-fetches."""
+    """Return the (uint32 value, access type) pairs that are not prefetches."""
     kept, kept_labels = np.empty(values.size, np.uint32), np.empty(values.size, np.uint8)
     n = keep_demand(values, labels, kept, kept_labels)
     return kept[:n], kept_labels[:n]
@@ -141,7 +141,7 @@ def demand_only(values: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.
 
 @kernel
 def demand_rows(nodes, kinds, kept):
-    """Copy the nodes of the rows that are no pre-fetches; return how many."""
+    """Copy the nodes of the rows that are not prefetches; return how many."""
     n = np.uint64(0)
     for i in range(nodes.size):
         kept[n] = nodes[i]
@@ -151,7 +151,7 @@ def demand_rows(nodes, kinds, kept):
 
 @kernel
 def keep_demand(values, labels, kept, kept_labels):
-    """Copy the pairs whose label is not a pre-fetch; return how many."""
+    """Copy the pairs whose access type is not a prefetch; return how many."""
     n = 0
     for i in range(values.size):
         kept[n] = values[i]

@@ -1,4 +1,4 @@
-"""What cog runs for the pages: commands whose real output stands there, and tables from the figures under docs/data/."""
+"""The functions that cog runs for the pages: real output of commands, and tables from the files under docs/data/."""
 
 import csv
 import json
@@ -16,15 +16,15 @@ FOLDER = Path(tempfile.gettempdir()) / f"nptrace-readme-{os.getpid()}"
 
 
 def have_scenes() -> bool:
-    """Whether the real scenes are at hand; without them the recorded output stays as it is."""
+    """Whether the real scenes are installed; without them the recorded output stays as it is."""
     folder = os.environ.get("NPTRACE_SCENES")
     return folder is not None and (Path(folder) / "bunny.ply").exists()
 
 
 def show(cog, *commands: str) -> None:
-    """Write each command and what it prints to stdout, as a terminal session in a fenced block."""
+    """Write each command and its standard output, as a terminal session in a fenced block."""
     if not have_scenes():
-        print("docs: the real scenes are not at hand (NPTRACE_SCENES); recorded output kept", file=sys.stderr)
+        print("docs: the real scenes are not installed (NPTRACE_SCENES); recorded output kept", file=sys.stderr)
         cog.out(cog.previous)
         return
     FOLDER.mkdir(exist_ok=True)
@@ -58,7 +58,7 @@ def table1(cog) -> None:
 
 
 def headline(cog) -> None:
-    """Write the range of B/A over the rows of each tree, from table1.csv: the printed miss rate, ours, and what it hides."""
+    """Write the range of B/A over the rows of each tree, from table1.csv: the paper's miss rate, and what it hides."""
     with open(DATA / "table1.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     columns = {
@@ -76,9 +76,9 @@ def headline(cog) -> None:
 
 
 def hard_cases(cog) -> None:
-    """Write what ``nptrace check --hard --json`` found, one line per case: the worst of its structures."""
+    """Write the results of ``nptrace check --hard --json``, one line per case: the worst of its structures."""
     rows = json.loads((DATA / "hard_cases.json").read_text(encoding="utf-8"))
-    cog.outl("| case | structures | rays | lost | invented | wrong | unlike | ambiguous | t error | bound |")
+    cog.outl("| case | structures | rays | lost | invented | wrong | differ | ambiguous | t error | bound |")
     cog.outl("| --- |" + " ---: |" * 9)
     for case in dict.fromkeys(row["case"] for row in rows):
         of = [row for row in rows if row["case"] == case]
@@ -88,7 +88,7 @@ def hard_cases(cog) -> None:
 
 
 def embree(cog) -> None:
-    """Write what ``nptrace check --json`` found, one line per kind of rays and comparison: the worst over scenes and trees."""
+    """Write the results of ``nptrace check --json``, a line per kind of rays and comparison: the worst of all."""
     rows = json.loads((DATA / "embree.json").read_text(encoding="utf-8"))
     cog.outl("| rays | compared | comparisons | rays in all | largest | limit |")
     cog.outl("| --- | --- |" + " ---: |" * 4)
@@ -100,7 +100,7 @@ def embree(cog) -> None:
 
 
 def checks(cog) -> None:
-    """Write what ``python -m tests.checks`` counted: all tests, a line per file and below it one per check."""
+    """Write the counts of ``python -m tests.checks``: all tests, a line per file and below it one per check."""
     sys.path.insert(0, str(ROOT))
     from tests.checks import what_files_check
 
@@ -145,6 +145,21 @@ def open_list(cog) -> None:
         cog.outl(f"| {entry.name} | {entry.what} | {', '.join(entry.covered_by) or '**nothing yet**'} |".replace("::", ": "))
 
 
+def mesh_readers(cog) -> None:
+    """Write how many files of the mesh corpus each reader read right, format by format."""
+    rows = _rows("mesh_readers.csv")
+    formats = list(dict.fromkeys(row["format"] for row in rows))
+    cog.outl("| reader | " + " | ".join(f"{name}, of {_files(rows, name)}" for name in formats) + " |")
+    cog.outl("| --- |" + " ---: |" * len(formats))
+    for reader, version in dict.fromkeys((row["reader"], row["version"]) for row in rows):
+        right = {row["format"]: row["right"] for row in rows if row["reader"] == reader}
+        cog.outl(f"| {reader} {version} | " + " | ".join(right.get(name, "") for name in formats) + " |")
+
+
+def _files(rows: list[dict[str, str]], form: str) -> str:
+    return next(row["files"] for row in rows if row["format"] == form)
+
+
 def fuzz(cog) -> None:
     """Write how many inputs ``make fuzz`` tried."""
     data = json.loads((DATA / "fuzz.json").read_text(encoding="utf-8"))
@@ -157,7 +172,7 @@ def fuzz(cog) -> None:
 
 
 def mutations(cog) -> None:
-    """Write which test noticed each mutation."""
+    """Write the test that noticed each mutation."""
     with open(DATA / "mutations.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     sys.path.insert(0, str(ROOT))
@@ -187,7 +202,7 @@ def _median(values: list[float]) -> float:
     return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
-#: Columns of Table I in speed_error.csv, as they are headed on the page.
+#: Columns of Table I in speed_error.csv, and their headings on the page.
 COLUMNS = {
     "demand_miss_rate_without": "miss A", "demand_miss_rate": "demand B", "paper_miss_rate": "paper B",
     "paper_ratio": "paper B/A", "demand_ratio": "demand B/A", "traffic_ratio": "traffic B/A", "bytes_from_memory": "KB B",
@@ -196,7 +211,7 @@ COLUMNS = {
 
 
 def speed_error(cog) -> None:
-    """Write speed-up and errors of every short cut: medians over scenes and trees, and the largest error of all."""
+    """Write speed-up and errors of every short cut: medians over scenes and trees, and the largest error."""
     rows = _rows("speed_error.csv")
     cog.outl("| method | | speed-up | " + " | ".join(COLUMNS.values()) + " |")
     cog.outl("| --- | --- |" + " ---: |" * (1 + len(COLUMNS)))
@@ -217,7 +232,7 @@ def speed_error(cog) -> None:
 
 
 def speed_error_about(cog) -> None:
-    """Write what was measured, and the sentence a user needs."""
+    """Write the measured runs, and the conclusion in one sentence."""
     rows, held = _rows("speed_error.csv"), [row for row in _rows("calibration.csv") if row["caches"] == "Table I"]
     runs = {(row["scene"], row["tree"]) for row in rows}
     cog.outl(f"{len(runs)} runs (scenes x trees): {', '.join(sorted({scene for scene, _ in runs}))}.")
@@ -225,15 +240,15 @@ def speed_error_about(cog) -> None:
     if large:
         share = 100 * _median([float(row["median_share"]) for row in large])
         cog.outl(
-            "\n**In one sentence**: filter first, which costs nothing; at 2048x2048 `--target-error 2%,0.05pp` then needs "
-            f"{share:.0f} % of the rays (median over runs), and every figure it prints has its half-width."
+            "\n**In one sentence**: filter first, which introduces no error; then `--target-error 2%,0.05pp` at "
+            f"2048x2048 needs {share:.0f} % of the rays (median over runs), and every figure it prints has its half-width."
         )
 
 
 def set_sampling(cog) -> None:
     """Write the gain in replay and the errors of set sampling."""
     rows = [row for row in _rows("speed_error.csv") if row["method"].startswith("set sampling")]
-    cog.outl("| caches | sets | faster than filtered | than unfiltered | miss A, median error % | largest % |")
+    cog.outl("| caches | sets | speed-up over filtered | over unfiltered | miss A, median error % | largest % |")
     cog.outl("| --- | --- |" + " ---: |" * 4)
 
     def column(of, name, field):
@@ -248,13 +263,13 @@ def set_sampling(cog) -> None:
         cog.outl(f"| {label} | {part} | {gain:.2g} | {plain:.2g} | {_median(of_a[1]):.2g} | {max(of_a[2]):.2g} |")
         shares[label] = _median(column(of, "misses_in_hottest_tenth", "median_error"))
     words = " and ".join(f"{share:.0f} % ({label})" for label, share in shares.items())
-    cog.outl(f"\nA tenth of the sets has {words} of a cache's misses without pre-fetching, in the median run.")
+    cog.outl(f"\nIn the median run, a tenth of the sets has {words} of a cache's misses without prefetching.")
 
 
 def hashed_lines(cog) -> None:
     """Write the gain and the errors, in points, of hashed lines."""
     rows = [row for row in _rows("speed_error.csv") if row["method"] == "hashed lines"]
-    cog.outl("| lines followed | stack distances are faster by | median error, points | largest |")
+    cog.outl("| lines followed | speed-up of stack distances | median error, points | largest |")
     cog.outl("| --- | ---: | ---: | ---: |")
     for part in dict.fromkeys(row["parameter"] for row in rows):
         of = [row for row in rows if row["parameter"] == part]
@@ -264,11 +279,11 @@ def hashed_lines(cog) -> None:
 
 
 def calibration(cog, target: str) -> None:
-    """Write how often the intervals stated for a target held, run by run."""
+    """Write how often the intervals held for a target, run by run."""
     rows = [row for row in _rows("calibration.csv") if row["target"] == target]
     cog.outl(
         "| scene, tree | pixels | caches | seeds | sampled | all hold % | targeted hold % | worst quantity holds % | "
-        "bias / h | rays % | why the others were counted exactly (times) |"
+        "bias / half-width | rays % | reasons for exact counts (times) |"
     )
     cog.outl("| --- | ---: | --- |" + " ---: |" * 7 + " --- |")
     for row in rows:
@@ -289,8 +304,8 @@ def calibration(cog, target: str) -> None:
         every = sum(float(row["hold_all"]) * int(row["sampled"]) for row in held) / n
         least, bias = min(float(row["hold_all"]) for row in held), max(float(row["bias"]) for row in held)
         cog.outl(
-            f"\nOver all {n:,} sampled runs it held in {100 * every:.1f} %, in the worst line in {100 * least:.1f} %; the "
-            f"largest bias is {bias:.2f} half-widths."
+            f"\nOver all {n:,} sampled runs it held in {100 * every:.1f} %, and in the worst line in {100 * least:.1f} %."
+            f" The largest bias is {bias:.2f} half-widths."
         )
     first = [row for row in rows if row["size"] == "2048x2048" and row["caches"] == "Table I"]
     if first:
@@ -299,8 +314,8 @@ def calibration(cog, target: str) -> None:
         worst = max(float(row["first_ratio_error"]) for row in first)
         cog.outl(
             f"From the first {share:.1f} % of the rays at 2048x2048, the ratios B/A and traffic B/A of all caches are "
-            f"right to {error:.2f} points in 95 % of the seeds in the median run ({worst:.2f} in the worst); the half "
-            f"width stated for them at once is {half:.2f} points."
+            f"correct to {error:.2f} points in 95 % of the seeds in the median run ({worst:.2f} in the worst); the "
+            f"half-width stated for all of them at once is {half:.2f} points."
         )
 
 
@@ -322,7 +337,7 @@ def estimate_speed(cog) -> None:
 
 
 def arithmetic(cog) -> None:
-    """Write what other arithmetic and unpadded boxes lose."""
+    """Write the hits that other arithmetic and boxes without margins lose."""
     rows = _rows("arithmetic.csv")
     cog.outl("| traversal | tree | rays | lost | invented | other triangle | t, p99.9 / kappa | visits % | miss A % | speed |")
     cog.outl("| --- | --- |" + " ---: |" * 8)
@@ -333,7 +348,7 @@ def arithmetic(cog) -> None:
 
 
 def machine(cog) -> None:
-    """Write what the figures of docs/performance.md were measured on and of."""
+    """Write the machine, the versions and the scenes of docs/performance.md."""
     facts = json.loads((DATA / "machine.json").read_text(encoding="utf-8"))
     cog.outl("| " + " | ".join(facts) + " |")
     cog.outl("|" + " --- |" * len(facts))
@@ -341,7 +356,7 @@ def machine(cog) -> None:
 
 
 def goals(cog) -> None:
-    """Write every figure of ``make bench`` that has a goal, or is named beside one."""
+    """Write every figure of ``make bench`` that has a goal, or belongs to one."""
     cog.outl("| | least | median | largest | goal | |")
     cog.outl("| --- |" + " ---: |" * 4 + " --- |")
     for row in _rows("bench.csv"):

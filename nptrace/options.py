@@ -1,4 +1,4 @@
-"""What the commands share: options, their types and their errors, progress on stderr, files that appear whole."""
+"""Options that several commands share, and the types of their values."""
 
 import os
 from typing import TYPE_CHECKING, Any

@@ -16,9 +16,9 @@ FORMATS = ("table", "csv", "json", "markdown", "latex")
 
 
 def one_form(option: str, form: str | None, as_json: bool) -> str:
-    """Return the form that an option and --json ask for, the table if none; they must not differ."""
+    """Return the format that an option and --json ask for, the table by default; the two must not differ."""
     if as_json and form not in (None, "json"):
-        raise BadInput(f"{option} {form} and --json ask for two forms; leave one out")
+        raise BadInput(f"{option} {form} and --json ask for two formats; leave one out")
     return "json" if as_json else form or "table"
 
 
@@ -39,7 +39,7 @@ def write_tables(tables: "list[Table]", notes: list[str], form: str, output: Pat
 
 
 def write_out(text: str, out: Path | None) -> None:
-    """Write text to a file, whole or not at all, or to stdout."""
+    """Write text to stdout, or to a file atomically."""
     if out is None:
         click.echo(text, nl=False)
         return
@@ -50,7 +50,7 @@ def write_out(text: str, out: Path | None) -> None:
 
 
 def output_option(*names: str, help: str) -> Any:
-    """Return an option for a file to write; whether it can be written is looked at before any work is done."""
+    """Return an option for an output file; whether it can be written is checked before any work is done."""
 
     def checked(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
         if path is not None:

@@ -23,20 +23,23 @@ from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import Scene
 from rtrace.scenes.stand_ins import stand_in
-from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF, Tree, node_table
+from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, node_table
 from rtrace.trees.tree_cache import TREES, build_tree
 from traces.din import export_din
 from traces.reader import open_run
+
+#: What each process runs, with the number of its part.
+PROGRAM = "from nptrace.precompile import compile_part; compile_part"
 
 
 def compile_all() -> int:
     """Compile every kernel of the commands that is not in the cache; return how many were compiled."""
     # Numba's global lock lets threads compile only one after another. A fork may inherit locks that other threads hold.
-    # In sessions of their own, Ctrl-C reaches this process alone.
+    # They are in separate sessions, so Ctrl-C reaches this process alone.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     children = [
         subprocess.Popen(
-            [sys.executable, "-P", "-c", f"import precompile; precompile.compile_part({part})"], env=environment, text=True,
+            [sys.executable, "-P", "-c", f"{PROGRAM}({part})"], env=environment, text=True,
             stdout=subprocess.PIPE, start_new_session=True,
         )
         for part in range(len(PARTS))
@@ -57,7 +60,7 @@ def compile_all() -> int:
 
 
 def _end(children: Sequence[subprocess.Popen[str]]) -> None:
-    """End processes: let them delete what is half written, but not for long."""
+    """End processes: give them a moment to delete incomplete files."""
     for child in children:
         child.terminate()
     for child in children:
@@ -69,7 +72,7 @@ def _end(children: Sequence[subprocess.Popen[str]]) -> None:
 
 
 def compile_part(part: int) -> None:
-    """Compile one of ``PARTS`` in this process; print how many kernels it compiled and what could not be kept, as JSON."""
+    """Compile one of ``PARTS`` in this process; print how many kernels it compiled and what it could not store, as JSON."""
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     gc.set_threshold(*compiling.GC_THRESHOLD)
     PARTS[part]()
@@ -118,15 +121,15 @@ def tracing_and_replaying() -> None:
         estimate(source, [CacheConfig(512, 2, 16)], Target(0.2, 0.01), exact_below=0.0, threads=1)
 
 
-#: Together they reach every kernel; about as long as each other.
+#: Together they reach every kernel; each takes about half of the time.
 PARTS = building_and_sweeping, tracing_and_replaying
 
 
 def _smallest_tree(scene: Scene, kind: str) -> Tree:
-    """Return a root over two leaves of all triangles: made by hand, so that no builder has to be compiled for it."""
+    """Return a root over two leaves that both list all triangles; it needs no builder, so none has to be compiled for it."""
     n = len(scene.triangles)
     nodes = np.zeros(3, KD_NODE if kind == "kdtree" else BVH_NODE)
-    nodes["meta"] = 0, n << 2 | LEAF, n << 2 | LEAF
+    nodes["meta"] = 0, n << 2 | LEAF_AXIS, n << 2 | LEAF_AXIS
     if kind == "kdtree":
         nodes["first"] = 0, 0, n
         nodes["split"][0], nodes["meta"][0] = scene.bounds[:, 0].mean(), 1 << 2

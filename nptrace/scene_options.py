@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def scene_options(command: Any) -> Any:
-    """Add the options that say how scenes are found."""
+    """Add the options that decide how scenes are found."""
     for option in (
         click.option("--offline", is_flag=True, help="Never download a scene."),
         click.option("--strict", is_flag=True, help="Refuse a mesh with bad triangles instead of leaving them out."),
@@ -46,12 +46,12 @@ def load_scenes(
 
 
 def check_run_names(names: Sequence[str], n_scenes: int) -> None:
-    """Raise BadInput unless each name, one per scene or none at all, can be that of a folder among the runs."""
+    """Raise BadInput unless there are no names, or one per scene and each can name a folder."""
     if names and len(names) != n_scenes:
-        raise BadInput(f"there are {len(names)} --name for {n_scenes} SCENE; give as many, in the same order")
+        raise BadInput(f"there are {len(names)} --name for {n_scenes} SCENE; give one per SCENE, in the same order")
     for name in names:
         if not re.fullmatch(r"[\w][\w.-]*", name):
-            raise BadInput(f"--name: {name!r} is no name for a run; take letters, digits, _ . and -, the first no . or -")
+            raise BadInput(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")
 
 
 #: Parameters of the kd-tree builder that a user may set, and the type of each.
@@ -59,12 +59,12 @@ KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level
 
 
 def parse_kd(text: str) -> dict[str, Any]:
-    """Return the builder's parameters that ``text`` sets: ``coarse`` or NAME=VALUE, parted by commas."""
+    """Return the builder's parameters that ``text`` sets: ``coarse`` or NAME=VALUE, separated by commas."""
     params: dict[str, Any] = {}
     for part in filter(None, text.split(",")):
         name, equals, value = ("max_level", "=", "16") if part == "coarse" else part.partition("=")
         if not equals or name not in KD_PARAMS:
-            raise BadInput(f"--kd: {part!r} is not coarse or NAME=VALUE with a name of {', '.join(KD_PARAMS)}")
+            raise BadInput(f"--kd: {part!r} is neither coarse nor NAME=VALUE with one of the names {', '.join(KD_PARAMS)}")
         try:
             params[name] = KD_PARAMS[name](value)
         except ValueError:
@@ -73,13 +73,13 @@ def parse_kd(text: str) -> dict[str, Any]:
 
 
 def tree_params(kd_text: str, bvh_builder: str) -> dict[str, dict[str, Any]]:
-    """Return what the builder of each kind of tree is asked for by --kd and --bvh."""
+    """Return the parameters of the builder of each kind of tree, from --kd and --bvh."""
     return {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
 
 
 @dataclass(frozen=True)
 class Picture:
-    """What ``picture_options`` say of the rays and trees, as they were typed."""
+    """The values of ``picture_options``: the rays and the trees."""
 
     pixels: str = "2048x2048"
     order: str = "scanline"
@@ -98,21 +98,24 @@ class Picture:
         return Shooting(*parse_size(self.pixels), self.order, self.batch, self.seed if self.order == "random" else 0)
 
 
+SAME = "As in nptrace render."
+
+
 def picture_options(command: Any) -> Any:
-    """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace what they need."""
-    orders = ["scanline", "tile", "morton", "hilbert", "random"]
+    """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace on demand."""
+    orders, builders = ["scanline", "tile", "morton", "hilbert", "random"], ["sweep", "binned"]
     for option in reversed((
         click.option("--pixels", default="2048x2048", show_default=True, metavar="WxH", help="Size of the picture."),
-        click.option("--camera", metavar="TEXT", help="As in nptrace render."),
-        click.option("--light", metavar="X,Y,Z", help="As in nptrace render."),
-        click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help="As in render."),
-        click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help="As in nptrace render."),
-        click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help="As in nptrace render."),
-        click.option("--bvh", "bvh_builder", type=click.Choice(["sweep", "binned"]), default="sweep", show_default=True),
-        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the sample and a random order."),
+        click.option("--camera", metavar="TEXT", help=SAME),
+        click.option("--light", metavar="X,Y,Z", help=SAME),
+        click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help=SAME),
+        click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help=SAME),
+        click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help=SAME),
+        click.option("--bvh", "bvh_builder", type=click.Choice(builders), default="sweep", show_default=True, help=SAME),
+        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the sample and the order."),
         click.option(
             "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",
-            help="Runs of up to N predicted accesses are counted exactly at once.",
+            help="Count runs of up to N predicted accesses exactly, without sampling.",
         ),
         threads_option(),
         scene_options,

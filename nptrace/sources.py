@@ -7,10 +7,10 @@ import click
 
 from nptrace.groups import BadInput
 
-PREFETCH_HELP = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
-
-
-LAYOUT_HELP = "Where nodes lie: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
+PREFETCH_HELP = (
+    "Prefetch policy: none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
+)
+LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
 
 
 def default_sources(folder: Path) -> list[Path]:
@@ -27,5 +27,5 @@ def traces_option() -> Any:
     """Return the option for the folder with the runs."""
     return click.option(
         "--traces", "folder", type=click.Path(path_type=Path), default="traces", show_default=True,
-        help="Folder with the runs."
+        help="Folder that holds the runs."
     )  # fmt: skip

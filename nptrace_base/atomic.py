@@ -1,4 +1,4 @@
-"""The one writer of output files: whole or not there, whoever kills it; straight into what is no plain file."""
+"""The one writer of output files: atomic for plain files, even if the program is killed; copied at the end to others."""
 
 import glob
 import os
@@ -22,9 +22,9 @@ _WAY_OUT = "name another file"
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path, with the ending of ``path``, whose content becomes that of ``path`` unless something is raised.
 
-    A plain file is replaced in one step, under the permissions it had; a link leads to the file that is replaced. Two writers
-    at once do not meet: the later rename wins. What killed writers of the same file left is deleted. Into a FIFO, a device,
-    an open file (/dev/stdout, /dev/fd/N) and ``-``, standard output, the whole content is copied at the end.
+    A plain file is replaced in one step, under the permissions it had; a link leads to the file that is replaced. Concurrent
+    writers do not disturb each other: the last rename wins. Temporary files of killed writers are deleted. Into a FIFO, a
+    device, an open file (/dev/stdout, /dev/fd/N) and ``-``, standard output, the whole content is copied at the end.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             places.add(temporary.parent)
             yield temporary
     except BrokenPipeError:
-        raise  # the reader has enough; the command ends quietly
+        raise  # the reader has closed the pipe; the command ends quietly
     except OSError as e:
         if e.filename is None or Path(os.fsdecode(e.filename)).parent in places:
             raise NptraceError(f"cannot write {path}: {e.strerror or e}; {_WAY_OUT}") from e
@@ -80,7 +80,7 @@ def is_special(path: Path) -> bool:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, a plain file's, to which it is renamed; for caches, which take an OSError."""
+    """Yield a temporary path beside ``path``, a plain file's, to which it is renamed; for caches, which handle an OSError."""
     _sweep(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}")
     try:
@@ -113,7 +113,7 @@ def _opened(path: Path) -> Iterator[IO[bytes]]:
     if str(path) == "-":
         yield sys.stdout.buffer
         return
-    # Never created and never cut: what it is must not change between looking and opening.
+    # Never created and never cut: what it is must not change between the check and the opening.
     with open(os.open(path, os.O_WRONLY) if descriptor is None else os.dup(descriptor), "wb") as sink:
         yield sink
 

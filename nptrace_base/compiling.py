@@ -1,4 +1,4 @@
-"""Saying when kernels are being compiled: a study should not wait for a compiler unawares.
+"""Announces one-time compilation, so that nobody waits for a compiler without knowing why.
 
 Imports nothing heavy, so that ``cli`` can set ``announce`` before it knows which command runs.
 """
@@ -7,17 +7,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 #: Called with one sentence when the first kernel of this process has to be compiled, and when kernels or trees cannot be
-#: kept; None: nobody wants to know.
+#: stored. None disables the notice.
 announce: Callable[[str], object] | None = None
-#: For ``gc.set_threshold``: importing and compiling make millions of objects that live on, and looking through them for
+#: For ``gc.set_threshold``: importing and compiling make millions of lasting objects, and searching them for
 #: cycles took a fifth of the time.
 GC_THRESHOLD = 100_000, 50, 50
 n_compiled = 0  # kernels compiled by this process; those loaded from the cache do not count
-lost: dict[str, str] = {}  # what could not be kept, and the sentence that says so
+lost: dict[str, str] = {}  # what could not be stored, and the sentence about it
 
 
 def started(folder: Path | None) -> None:
-    """Note that a kernel is being compiled (``jit`` calls this) to be kept in ``folder``; say so the first time."""
+    """Record that a kernel is being compiled (``jit`` calls this) to be stored in ``folder``; announce the first."""
     global n_compiled
     n_compiled += 1
     if n_compiled == 1 and announce is not None:
@@ -26,13 +26,13 @@ def started(folder: Path | None) -> None:
 
 
 def not_kept(what: str, tried: Mapping[Path, Exception]) -> None:
-    """Note that kernels or trees could not be kept in any of some cache folders, and why."""
+    """Record that kernels or trees could not be stored in any of the cache folders, and why."""
     places = [f"{folder} ({getattr(error, 'strerror', None) or error})" for folder, error in tried.items()]
     lose(what, f"{what} could not be kept in {' or '.join(places)}: they are made again each time")
 
 
 def lose(what: str, sentence: str) -> None:
-    """Say, once for each kind of thing, that it could not be kept."""
+    """Announce, once for each kind of thing, that it could not be stored."""
     if announce is not None and what not in lost:
         announce(sentence)
     lost.setdefault(what, sentence)

@@ -1,4 +1,4 @@
-"""The base class of this project's errors: what the user gave cannot be used. Anything else that is raised is a bug."""
+"""The base class of this project's errors: the user's input cannot be used. Any other exception is a bug."""
 
 
 class NptraceError(ValueError):

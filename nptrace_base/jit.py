@@ -1,11 +1,11 @@
-"""The one Numba decorator of the project, with a compile cache that cannot be stale, is ours alone and stops nobody.
+"""The project's Numba decorator, with a compile cache that is never stale, belongs to this user alone and stops no command.
 
 Numba's own cache looks only at the file that holds a kernel: a kernel that calls another module keeps running the old
 code after that module changed. So the cache folder is named by a digest of every file that holds a kernel, of all that these
 import, constants included, and of the versions that compile it. A changed source is another folder.
 
-Kernels are executable and unpickled, so they are kept only where nobody else may write. A folder that cannot be used, or is
-full, costs compiling again, no more. Importing this module touches no folder: the first kernel that is called does.
+Kernels are executable and unpickled, so they are kept only where nobody else may write. Without a usable folder, or with a
+full one, kernels are compiled again each time. Importing this module touches no folder: the first kernel that is called does.
 """
 
 import hashlib
@@ -56,11 +56,11 @@ def versions() -> str:
 def cache_folder() -> Path | None:
     """Return a writable folder for these sources' kernels: in $NUMBA_CACHE_DIR, the user's cache, or a temporary one.
 
-    None if there is none that only this user may write to; then nothing is kept.
+    None if no folder is writable by this user alone; then kernels are not stored.
     """
     root = os.environ.get("NUMBA_CACHE_DIR")
     candidates = [Path(root)] if root else [user_cache_path("nptrace") / "kernels"]
-    with suppress(OSError):  # there may be no temporary folder at all
+    with suppress(OSError):  # there may be no temporary folder
         candidates.append(Path(tempfile.gettempdir()) / f"nptrace-kernels-{os.geteuid() if os.name == 'posix' else 'user'}")
     errors: dict[Path, Exception] = {}
     for candidate in candidates:
@@ -100,7 +100,7 @@ def _prepare() -> None:
 
 
 class _Noticed(event.Listener):
-    """Tells ``compiling`` of every kernel that is compiled; one that is loaded from the cache makes no such event."""
+    """Tells ``compiling`` about every kernel that is compiled; loading one from the cache makes no event."""
 
     def on_start(self, event: event.Event) -> None:
         compiling.started(cache_folder())
@@ -110,7 +110,7 @@ class _Noticed(event.Listener):
 
 
 class _Place:
-    """Where Numba keeps the kernels of one source file: in our folder, whatever else Numba is told."""
+    """Where Numba keeps the kernels of one source file: in our folder, whatever Numba's settings are."""
 
     def __init__(self, function: Callable[..., Any], file: str, folder: Path) -> None:
         self._file, self._line = Path(file), function.__code__.co_firstlineno
@@ -156,7 +156,7 @@ class _Kept(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """Numba's cache of one kernel; its folder is looked for when the kernel is first called, and trouble stops nothing."""
+    """Numba's cache of one kernel; opened when the kernel is first called; no failure of the cache stops a command."""
 
     _impl_class = _Kept
 
@@ -183,7 +183,7 @@ class _Cache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context) if self._open() else None
-        except Exception:  # whatever reading a damaged pickle raises: the kernel is compiled again, and written again
+        except Exception:  # whatever reading a damaged pickle raises: the kernel is compiled and stored again
             with suppress(OSError):
                 self.flush()
             return None

@@ -1,4 +1,4 @@
-"""Threads that nobody waits for who is in a hurry."""
+"""A thread pool that does not delay Ctrl-C."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def thread_pool(threads: int) -> Iterator[ThreadPoolExecutor]:
-    """Yield a pool of threads; Ctrl-C does not wait for what they are at, which may be compiling."""
+    """Yield a pool of threads; Ctrl-C does not wait for their current work, which may be compiling."""
     pool = ThreadPoolExecutor(threads)
     try:
         yield pool

@@ -1,4 +1,4 @@
-"""A source file -> a digest of all it stands on: its own text and that of every module of ours it imports, directly or not.
+"""A source file -> a digest of all that it depends on: its text and every module of ours that it imports, directly or not.
 
 What is kept between runs (compiled kernels, trees) is named by such digests, so that it cannot outlive what made it: a
 constant of another module counts, a module that is not imported does not.
@@ -14,7 +14,7 @@ from pathlib import Path
 #: The folder with all of our packages and modules.
 ROOT = Path(__file__).resolve().parent.parent
 
-#: A statement that imports. Parsing the files as a whole took ten times as long, and every command waits for it.
+#: A statement that imports. Parsing whole files took ten times as long, and every command waits for it.
 _IMPORT = re.compile(r"^[ \t]*(?:from|import)[ \t](?:[^\n\\(]|\\\n|\([^)]*\))*", re.MULTILINE)
 
 

@@ -1,4 +1,4 @@
-"""Tables as text: rows of ready-made cells -> a terminal, a pipe, Markdown or LaTeX."""
+"""Tables as text: rows of formatted cells -> a terminal, a pipe, Markdown or LaTeX."""
 
 import textwrap
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ class Table:
 
 
 def number(value: float | None, decimals: int = 0, *, sign: bool = False, group: str = ",") -> str:
-    """Return a number with ``group`` between thousands, ``-`` for none."""
+    """Return a number with ``group`` between thousands; ``-`` for None."""
     if value is None:
         return "-"
     text = f"{value:{'+' if sign else ''}{group}.{decimals}f}"
@@ -32,7 +32,7 @@ def number(value: float | None, decimals: int = 0, *, sign: bool = False, group:
 
 
 def percent(value: float | None, decimals: int = 2) -> str:
-    """Return a fraction in per cent, without the sign for it."""
+    """Return a fraction in per cent, without the per cent sign."""
     return number(None if value is None else 100 * value, decimals)
 
 

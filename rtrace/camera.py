@@ -1,4 +1,4 @@
-"""Where a picture is seen from: numbers, or the text a user types -> a checked Camera, its rays, the order of its pixels."""
+"""The view of a picture: numbers or a user's text -> a checked Camera, its rays, the order of its pixels."""
 
 import math
 import re
@@ -11,7 +11,7 @@ from nptrace_base.errors import NptraceError
 #: Pixel orders that ``pixel_order`` knows.
 ORDERS = ("scanline", "tile", "morton", "hilbert", "random")
 
-#: Largest side of a picture in pixels, and the most pixels: a pixel number has to fit int32 everywhere.
+#: Largest side of a picture in pixels, and the most pixels: a pixel number has to fit into int32.
 MAX_SIDE, MAX_PIXELS = 65536, 2**31 - 1
 
 #: Vertical field of view in degrees when none is given.
@@ -35,13 +35,13 @@ class Camera:
     Attributes
     ----------
     eye, look_at : 3 floats
-        Where the camera stands, which float32 can hold, and a point in the middle of the picture.
+        Position of the camera, which float32 can hold, and a point in the middle of the picture.
     up : 3 floats
-        What is up in the picture; need not be of unit length nor at a right angle to the view.
+        The up direction of the picture; need not have unit length or be perpendicular to the view.
     fov : float
         Vertical field of view in degrees, ``MIN_FOV`` <= fov < 180.
 
-    Raises ValueError for values that define no picture.
+    Raises NptraceError for values that define no picture.
     """
 
     eye: Point
@@ -54,22 +54,22 @@ class Camera:
             object.__setattr__(self, name, _point(getattr(self, name), f"camera {name}"))
         object.__setattr__(self, "fov", float(self.fov))
         if not 0.0 < self.fov < 180.0:
-            raise NptraceError(f"camera fov is {self.fov!r}, must be between 0 and 180 degrees; write e.g. fov=45")
+            raise NptraceError(f"camera fov is {self.fov!r} but must be between 0 and 180 degrees; write e.g. fov=45")
         if self.fov < MIN_FOV:
             raise NptraceError(
-                f"camera fov is {self.fov!r}, must be at least {MIN_FOV} degrees: directions are float32, in which all rays "
-                "of a narrower picture are one; write e.g. fov=45"
+                f"camera fov is {self.fov!r} but must be at least {MIN_FOV} degrees: directions are float32, and all rays "
+                "of a narrower picture would be equal; write e.g. fov=45"
             )
         if max(map(abs, self.eye)) > FARTHEST:
             raise NptraceError(
-                f"camera eye {_text(self.eye)} is beyond float32, which holds numbers up to {FARTHEST:.4g}; bring it nearer"
+                f"camera eye {_text(self.eye)} is beyond float32, which holds numbers up to {FARTHEST:.4g}; move it nearer"
             )
         if self.eye == self.look_at:
             raise NptraceError(f"camera eye and look_at are the same point {_text(self.eye)}; move one of them")
         if not all(map(math.isfinite, np.subtract(self.look_at, self.eye))):
             raise NptraceError(f"camera eye {_text(self.eye)} and look_at {_text(self.look_at)} are too far apart for a float")
         if self.up == (0.0, 0.0, 0.0):
-            raise NptraceError("camera up is 0,0,0, must have a direction; write e.g. up=0,1,0")
+            raise NptraceError("camera up is 0,0,0 but must have a direction; write e.g. up=0,1,0")
         view = _unit(np.subtract(self.look_at, self.eye))
         if math.hypot(*np.cross(view, _unit(self.up))) < _PARALLEL:
             other = "0,0,1" if abs(view[1]) > 0.5 else "0,1,0"
@@ -85,7 +85,7 @@ class Camera:
         return np.array([right, np.cross(right, forward), forward])
 
     def frame(self, width: int, height: int) -> np.ndarray:
-        """Return what makes the rays of a picture of ``width`` x ``height`` pixels.
+        """Return the vectors that make the rays of a picture of ``width`` x ``height`` pixels.
 
         Returns
         -------
@@ -105,7 +105,7 @@ class Camera:
 def fit_camera(bounds: np.ndarray) -> Camera:
     """Return a camera outside ``bounds``, (2, 3) lower and upper corner, that shows all of the box in a square picture.
 
-    A three-quarter view from above, +y taken as up. Flat boxes and single points give a camera too.
+    A three-quarter view from above, with +y up. Flat boxes and single points work too.
     """
     lower, upper = np.asarray(bounds, np.float64)
     middle = lower + (upper - lower) / 2
@@ -113,18 +113,18 @@ def fit_camera(bounds: np.ndarray) -> Camera:
     right, up, forward = Camera(_FIT_DIRECTION, (0.0, 0.0, 0.0)).axes()
     sideways = np.maximum(np.abs(corners @ right), np.abs(corners @ up))
     distance = np.max(sideways / math.tan(math.radians(DEFAULT_FOV) / 2) - corners @ forward) * _FIT_MARGIN
-    # A single point, and a speck far from the origin, need a distance that survives the rounding of the eye.
+    # A single point or a tiny scene far from the origin needs a distance that survives the rounding of the eye.
     distance = max(distance, 1e-3 * np.abs(middle).max(), 1e-30) if np.any(upper) or np.any(lower) else 1.0
-    # At the end of float32 the camera cannot stand where it sees all.
-    there = np.abs(forward) > 0
-    distance = min(distance, np.min((FARTHEST + np.sign(forward) * middle)[there] / np.abs(forward)[there]) * (1 - 1e-9))
-    return Camera(_point(middle - distance * forward), _point(middle))
+    # At the end of float32 the camera stands on the other side of the box, or where it does not see all of it.
+    eye = middle - distance * forward
+    eye = np.clip(np.where(np.abs(eye) > FARTHEST, middle + distance * forward, eye), -FARTHEST, FARTHEST)
+    return Camera(_point(eye), _point(middle))
 
 
 def fit_light(camera: Camera, bounds: np.ndarray) -> Point:
-    """Return a point light above and to the left of the camera, so that shadows fall to the right where they are seen.
+    """Return a point light above and to the left of the camera, so that shadows fall visibly to the right.
 
-    Outside ``bounds`` as long as the camera is; for a camera inside the box, that of a room say, the light is inside too.
+    Outside ``bounds`` if the camera is; for a camera inside the box, such as a room, the light is inside too.
     """
     lower, upper = np.asarray(bounds, np.float64)
     eye = np.array(camera.eye)
@@ -140,9 +140,9 @@ def fit_light(camera: Camera, bounds: np.ndarray) -> Point:
 
 
 def parse_camera(text: str) -> Camera:
-    """Return the camera that ``text`` says: ``eye=1,2,3 at=0,0,0 up=0,1,0 fov=45``, parted by blanks or semicolons.
+    """Return the camera of ``text``: ``eye=1,2,3 at=0,0,0 up=0,1,0 fov=45``, separated by blanks or semicolons.
 
-    ``dir=`` may stand for ``at=``; ``up`` and ``fov`` may be left out. ValueError says what is wrong.
+    ``dir=`` may stand for ``at=``; ``up`` and ``fov`` are optional. Raises NptraceError.
     """
     hint = "write e.g. 'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'"
     fields: dict[str, str] = {}
@@ -151,7 +151,7 @@ def parse_camera(text: str) -> Camera:
         if not equals or key not in ("eye", "at", "dir", "up", "fov"):
             raise NptraceError(f"camera {text!r}: {part!r} is not eye=, at=, dir=, up= or fov=; {hint}")
         if key in fields:
-            raise NptraceError(f"camera {text!r}: {key}= is there twice; {hint}")
+            raise NptraceError(f"camera {text!r}: {key}= is given twice; {hint}")
         fields[key] = value
     if "eye" not in fields or ("at" in fields) == ("dir" in fields):
         raise NptraceError(f"camera {text!r} must have eye= and one of at= and dir=; {hint}")
@@ -171,7 +171,7 @@ def parse_point(text: str) -> Point:
     """Return the three finite numbers of ``"x,y,z"``."""
     numbers = [_number(word) for word in text.split(",")]
     if len(numbers) != 3:
-        raise NptraceError(f"point {text!r} has {len(numbers)} numbers, must have three; write e.g. 1,2.5,-3")
+        raise NptraceError(f"point {text!r} has {len(numbers)} numbers but must have three; write e.g. 1,2.5,-3")
     return _point(numbers)
 
 
@@ -186,22 +186,22 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def check_size(width: int, height: int) -> None:
-    """Raise ValueError unless a picture of ``width`` x ``height`` pixels can be rendered."""
+    """Raise NptraceError unless a picture of ``width`` x ``height`` pixels can be rendered."""
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise NptraceError(f"size {width}x{height}: each side must be 1 to {MAX_SIDE} pixels; write e.g. 512x512")
     if width * height > MAX_PIXELS:
-        raise NptraceError(f"size {width}x{height} is {width * height} pixels, the most is {MAX_PIXELS}; make it smaller")
+        raise NptraceError(f"size {width}x{height} is {width * height} pixels, and the most is {MAX_PIXELS}; make it smaller")
 
 
 def pixel_order(order: str, width: int, height: int, seed: int = 0) -> np.ndarray:
-    """Return the pixels of a picture in the order in which their rays are shot.
+    """Return the pixels of a picture in the order in which their rays are traced.
 
     Parameters
     ----------
     order : str
         ``scanline``: row by row from the top. ``tile``: as Manta does, tiles of 64x64 pixels column by column, each as 8x8
         squares row by row, each of those row by row. ``morton`` (the Z curve) and ``hilbert``: on the smallest square of
-        side 2^k that covers the picture, what is outside dropped. ``random``: a permutation drawn with ``seed``.
+        side 2^k that covers the picture, without the pixels outside. ``random``: a permutation drawn with ``seed``.
     width, height : int
 
     Returns
@@ -221,14 +221,14 @@ def pixel_order(order: str, width: int, height: int, seed: int = 0) -> np.ndarra
         # both together, commute, so that a state is two bits (1 = diagonal, 2 = half turn) and a step down an xor.
         return _curve(((0, 0), (0, 1), (1, 1), (1, 0)), (1, 0, 0, 3), width, height)
     if order == "random":
-        # Pixel numbers below random bits, sorted: unlike Generator.permutation, these bits are never to change.
+        # Pixel numbers below random bits, sorted: unlike Generator.permutation, these bits never change.
         numbers = np.random.PCG64(seed).random_raw(width * height) & np.uint64(0xFFFFFFFF_00000000)
         return np.sort(numbers | np.arange(width * height, dtype=np.uint64)).astype(np.uint32)
-    raise NptraceError(f"pixel order {order!r} is not known; take one of {', '.join(ORDERS)}")
+    raise NptraceError(f"pixel order {order!r} is unknown; choose one of {', '.join(ORDERS)}")
 
 
 def _tiles(width: int, height: int) -> np.ndarray:
-    """Return the pixel numbers tile by tile; the tiles at the right and lower border are cut."""
+    """Return the pixel numbers tile by tile; the tiles at the right and lower border are clipped."""
     tiles_x, tiles_y = -(-width // 64), -(-height // 64)
     x = np.arange(tiles_x * 64, dtype=np.int64)
     y = np.arange(tiles_y * 64, dtype=np.int64)
@@ -241,8 +241,8 @@ def _tiles(width: int, height: int) -> np.ndarray:
 def _curve(steps: tuple[tuple[int, int], ...], turns: tuple[int, ...], width: int, height: int) -> np.ndarray:
     """Return the pixel numbers along a space-filling curve of 2x2 ``steps`` (x, y), child i being turned by ``turns[i]``.
 
-    Squares are split in four from the covering one down, those outside the picture dropped at once: work and memory stay
-    within a small factor of the number of pixels, for a picture of 65536x1 too.
+    Squares are split in four from the covering one down, and those outside the picture are dropped at once: work and memory
+    stay within a small factor of the number of pixels, for a picture of 65536x1 too.
     """
     base = np.array(steps, np.int32)
     table = np.array([(base[:, ::-1] if state & 1 else base) ^ (state >> 1) for state in range(4)])
@@ -265,10 +265,10 @@ def _unit(vector) -> np.ndarray:
 
 
 def _point(values, what: str = "point") -> Point:
-    """Return three finite floats, or raise ValueError."""
+    """Return three finite floats, or raise NptraceError."""
     point = tuple(map(float, values))
     if len(point) != 3 or not all(map(math.isfinite, point)):
-        raise NptraceError(f"{what} is {_text(point)}, must be three finite numbers; write e.g. 1,2.5,-3")
+        raise NptraceError(f"{what} is {_text(point)} but must be three finite numbers; write e.g. 1,2.5,-3")
     return point
 
 

@@ -31,7 +31,11 @@ THIN = 2.0**-6
 #: Larger than any triangle number: the number of "no hit yet", so that the lowest number wins among equal t.
 NO_PRIM = np.int32(2**31 - 1)
 
-X, Y, Z, SECOND, THIRD = (np.uint64(k) for k in (0, 1, 2, 3, 6))  # unsigned: see traverse.py
+#: Coordinates of a point, and how many a point and a triangle have in a flat array; unsigned, as ``traverse`` says.
+X, Y, Z = (np.uint64(k) for k in range(3))
+POINT_FLOATS, CORNER_FLOATS = np.uint64(3), np.uint64(9)
+_SECOND, _THIRD = POINT_FLOATS, np.uint64(6)  # where a triangle's second and third vertex start
+_LOWER, _UPPER = np.uint64(0), POINT_FLOATS  # where a box's corners start
 _SPLITTER = 2.0**27 + 1.0
 
 
@@ -42,38 +46,46 @@ def inverse(d):
 
 
 @inlined
-def end_of(t_max, ox, oy, oz, dx, dy, dz):
+def end_of(t_max, origin, direction):
     """Return where a ray ends: ``t_max``, or NaN, which no t reaches, if it is none (not finite, or without a direction)."""
+    ox, oy, oz = origin
+    dx, dy, dz = direction
     total = ox + oy + oz + dx + dy + dz  # of float32 numbers: it does not overflow
     return t_max if total - total == 0.0 and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan
 
 
 @kernel
-def shear(dx, dy, dz, ix, iy, iz):
-    """Return ((kx, ky, kz), (sx, sy, sz)): the axis permutation and shear that take the direction to +z.
+def shear(origin, direction, inverses):
+    """Return (axes, origin, shears) of a ray, three numbers each: how its direction becomes +z, as ``triangle_t`` needs it.
 
-    ``ix``, ``iy``, ``iz`` are the inverses of the direction's components.
+    ``axes`` is the permutation (kx, ky, kz), in which the origin's coordinates are returned; ``shears`` is (sx, sy, sz).
 
     Woop, Benthin, Wald 2013, "Watertight Ray/Triangle Intersection", Sec. 3: kz is the axis of the largest component.
     """
+    ox, oy, oz = origin
+    dx, dy, dz = direction
+    ix, iy, iz = inverses
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
-        return (Y, Z, X), (dy * ix, dz * ix, ix)
+        return (Y, Z, X), (oy, oz, ox), (dy * ix, dz * ix, ix)
     if ay >= az:
-        return (Z, X, Y), (dz * iy, dx * iy, iy)
-    return (X, Y, Z), (dx * iz, dy * iz, iz)
+        return (Z, X, Y), (oz, ox, oy), (dz * iy, dx * iy, iy)
+    return (X, Y, Z), (ox, oy, oz), (dx * iz, dy * iz, iz)
 
 
 @inlined
-def margins(core, ox, oy, oz, dx, dy, dz, ix, iy, iz):
+def margins(core, origin, direction, inverses):
     """Return (x, y, z): how far the culling tests are moved along each axis.
 
     ``core`` is the flat box of all triangles but the strays. Rounding moves a corner beside the ray by a share of its
     distance along that axis and of its distance along the ray, times the slope.
     """
-    x = max(abs(core[X] - ox), abs(core[SECOND] - ox))
-    y = max(abs(core[Y] - oy), abs(core[SECOND + Y] - oy))
-    z = max(abs(core[Z] - oz), abs(core[SECOND + Z] - oz))
+    ox, oy, oz = origin
+    dx, dy, dz = direction
+    ix, iy, iz = inverses
+    x = max(abs(core[_LOWER + X] - ox), abs(core[_UPPER + X] - ox))
+    y = max(abs(core[_LOWER + Y] - oy), abs(core[_UPPER + Y] - oy))
+    z = max(abs(core[_LOWER + Z] - oz), abs(core[_UPPER + Z] - oz))
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         along = x * abs(ix)
@@ -107,19 +119,21 @@ def difference(a, b, c, d):
 
 
 @kernel
-def triangle_t(tri, v, kx, ky, kz, ox, oy, oz, sx, sy, sz):
-    """Return the ray parameter at which the ray's line meets the triangle whose nine floats start at ``tri[v]``; NaN for none.
+def triangle_t(corners, first, line):
+    """Return the ray parameter at which a ray's line meets the triangle whose nine floats start at ``first``; NaN for none.
 
-    ``ox``, ``oy``, ``oz`` is the origin, its axes permuted by (kx, ky, kz).
+    ``line`` is what ``shear`` returned for the ray.
 
     Every edge function is computed from sheared vertices that neighbouring triangles share, and its sign is that of the exact
     value, which changes when the edge is walked the other way: no ray passes between two triangles with a common
     edge. Edges belong to both. A triangle without area in the sheared plane, so one seen edge-on, is not hit.
     """
-    az, bz, cz = tri[v + kz] - oz, tri[v + SECOND + kz] - oz, tri[v + THIRD + kz] - oz
-    ax, ay = (tri[v + kx] - ox) - sx * az, (tri[v + ky] - oy) - sy * az
-    bx, by = (tri[v + SECOND + kx] - ox) - sx * bz, (tri[v + SECOND + ky] - oy) - sy * bz
-    cx, cy = (tri[v + THIRD + kx] - ox) - sx * cz, (tri[v + THIRD + ky] - oy) - sy * cz
+    (kx, ky, kz), (ox, oy, oz), (sx, sy, sz) = line
+    second, third = first + _SECOND, first + _THIRD
+    az, bz, cz = corners[first + kz] - oz, corners[second + kz] - oz, corners[third + kz] - oz
+    ax, ay = (corners[first + kx] - ox) - sx * az, (corners[first + ky] - oy) - sy * az
+    bx, by = (corners[second + kx] - ox) - sx * bz, (corners[second + ky] - oy) - sy * bz
+    cx, cy = (corners[third + kx] - ox) - sx * cz, (corners[third + ky] - oy) - sy * cz
     u = cx * by - cy * bx
     v_ = ax * cy - ay * cx
     w = bx * ay - by * ax

@@ -1,4 +1,4 @@
-"""Scene and tree -> the accesses of any stretch of the run, traced on demand into memory: what an estimate samples from.
+"""Scene and tree -> the accesses of any stretch of the run, traced on demand into memory: the source of an estimate's samples.
 
 The positions of a run are its pixels in shooting order; with all primary rays first, twice: once for the primary rays and once
 for the shadow rays. Stretches of positions, joined in order, give the accesses of ``render`` one by one.
@@ -20,13 +20,13 @@ from traces.format import PRIMARY, SHADOW
 
 _STRIP = 512  # pixels: eight squares of 8 x 8, one strip of Manta's tile
 _LEAST_UNITS = 128  # of a picture with few rows
-_LEAST_UNIT = 256  # pixels of a unit of a narrow picture: fewer cost as much again to warm up
+_LEAST_UNIT = 256  # pixels of a unit of a narrow picture: a smaller unit costs as much again to warm up
 _SCOUT_SIDE, _SCOUT_STEPS = 128, (8, 32)  # scout rays along a side, and pixels between two of them
 _LEAST_GROUP = 32  # scout rays of a group
 
 
 class RayAccesses(NamedTuple):
-    """Accesses in the order of the run, and how many rays made them."""
+    """Accesses in the order of the run, and the number of rays that made them."""
 
     nodes: np.ndarray  # (n,) uint32
     kinds: np.ndarray  # (n,) uint8
@@ -34,7 +34,7 @@ class RayAccesses(NamedTuple):
 
 
 class RayUnits:
-    """The run of one scene, tree and shooting, of which any stretch can be traced.
+    """The run of one scene, tree and shooting; any stretch of it can be traced.
 
     Attributes
     ----------
@@ -42,9 +42,9 @@ class RayUnits:
         As ``render`` names the run, with ``(stand-in)`` when the scene is one.
     n_positions : int
     key : str
-        The command that makes the run, and the scene: all that decides its accesses.
+        The command that makes the run, and the scene: everything that decides its accesses.
     unit, row : int
-        Positions to sample together, and positions after which the neighbours of a position come again.
+        Positions to sample together, and the distance between a position and its neighbour in the next row.
     grain : int
         A stretch starts and ends at multiples of it: a batch of primary rays is never cut.
     node_bytes : int
@@ -83,7 +83,7 @@ class RayUnits:
         return _whole(chunks)
 
     def probe(self, n: int, seed: int) -> float:
-        """Return the mean number of accesses, pre-fetches included, of a position, from ``n`` random pixels."""
+        """Return the mean number of accesses, prefetches included, of a position, from ``n`` random pixels."""
         chosen = np.sort(np.random.default_rng(seed).integers(self._n_pixels, size=n))
         n_accesses = sum(len(chunk.accesses["node"]) for chunk in self._chunks(self._pixels[chosen], 1, None))
         return n_accesses / n * self._n_pixels / self.n_positions

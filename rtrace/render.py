@@ -36,7 +36,7 @@ _Piece = tuple[int, int, int | None]  # first pixel, the one after the last, whi
 
 @dataclass(frozen=True, slots=True)
 class Shooting:
-    """Which rays are shot, and in which order.
+    """Which rays are traced, and in which order.
 
     Attributes
     ----------
@@ -45,9 +45,9 @@ class Shooting:
     order : str
         One of ``camera.ORDERS``.
     batch : int
-        Primary rays shot before their shadow rays; 0 means all of them.
+        Primary rays traced before their shadow rays; 0 means all of them.
     seed : int
-        Of the random order.
+        Seed of the random order.
     """
 
     width: int = 128
@@ -65,7 +65,7 @@ class Shooting:
 
 
 class Summary(NamedTuple):
-    """What a run holds, for a line of output."""
+    """The counts of a run, for a line of output."""
 
     path: str
     n_triangles: int
@@ -74,7 +74,7 @@ class Summary(NamedTuple):
     n_hits: int  # primary rays that hit something
     n_shadow_rays: int
     n_shadowed: int
-    n_accesses: int  # demand: pre-fetch requests are counted apart
+    n_accesses: int  # demand; prefetch requests are counted separately
     n_prefetches: int
     n_bytes: int  # of the four files
 
@@ -97,7 +97,7 @@ class Summary(NamedTuple):
 def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterator[Chunk]:
     """Yield the traced chunks in shooting order, at most ``AHEAD`` x threads of them in memory.
 
-    A chunk is as many pixels as ``shoot.MOST_EVENTS`` allows, at most about ``CHUNK``.
+    A chunk has as many pixels as ``chunk.MOST_EVENTS`` allows, at most about ``CHUNK``.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def _pieces(n: int, batch: int) -> Iterator[_Piece]:
 
 
 def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
-    """Return the command that makes this run again, with every choice spelled out, however it was typed."""
+    """Return the command that makes this run again, with every option spelled out."""
     params = ",".join(f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs"))
     builder = ["--kd", params] if tree.kind == "kdtree" else ["--bvh", tree.params["builder"]]
     words = [
@@ -181,12 +181,12 @@ def render(
     tool_version: str = "",
     progress: Callable[[int], object] = lambda pixels: None,
 ) -> Summary:
-    """Trace a picture and write the run at ``path``, whole or not at all.
+    """Trace a picture and write the run at ``path`` atomically.
 
     Parameters
     ----------
     progress : callable
-        Called with the number of pixels that are done, chunk by chunk.
+        Called with the number of pixels done, chunk by chunk.
     """
     fields = SPLIT if tree.kind == "kdtree" else BOX
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
@@ -232,12 +232,12 @@ def render_all(
     """Render each scene with each tree of ``params`` (kind -> builder parameters) as ``folder/<scene>-<tree>``.
 
     The trees are built by threads ahead of the pictures; summaries come as the runs are written. ``names`` replace the scenes'
-    own in the names of the runs.
+    names in those of the runs.
 
     Raises
     ------
     NptraceError
-        Two scenes would be one run, or, unless ``overwrite``, another run is there already; nothing is traced then.
+        Two scenes would have one run, or another run exists and ``overwrite`` is not set; nothing is traced then.
     """
     names = names or [scene.name for scene in scenes]
     paths = [folder / f"{name}-{kind}" for name in names for kind in params]

@@ -19,19 +19,29 @@ import numpy as np
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined, kernel
-from rtrace.intersect import NO_PRIM, end_of, inverse, margins, shear, triangle_t
+from rtrace.intersect import CORNER_FLOATS, NO_PRIM, POINT_FLOATS, X, Y, Z, end_of, inverse, margins, shear, triangle_t
 from rtrace.simd import larger, load, pack, scaled_difference, smaller, unpack
 from rtrace.trees import tree as layout
-from rtrace.trees.tree import Tree, words
-from traces import format as contract
+from rtrace.trees.tree import Tree, tree_arrays
+from traces import format as run_format
 
 # Indices are uint64 throughout: Numba tests a signed index for wrap-around at every access, which made the kd-tree half as
 # fast. A plain integer next to a uint64 becomes signed, hence the names.
-ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT, NINE, TEN = (np.uint64(k) for k in range(11))
-LEAF = np.uint64(layout.LEAF)
-#: Where the stack of ``trace_bvh`` begins: eight entries below are room for a copy.
-BOTTOM = EIGHT
-READ, PUSH, ENTER, PREFETCH = (np.uint64(k) for k in (contract.READ, contract.PUSH, contract.LEAF, contract.PREFETCH))
+ZERO, ONE = np.uint64(0), np.uint64(1)
+AXES = np.uint64(3)
+KD_WORDS, SPLIT, FIRST, KD_META, BVH_WORDS, LOWER, UPPER, CHILD, META, AXIS_BITS, AXIS_MASK, LEAF_AXIS = (
+    np.uint64(getattr(layout, name))
+    for name in (
+        *("KD_WORDS", "SPLIT", "FIRST", "KD_META"),
+        *("BVH_WORDS", "LOWER", "UPPER", "CHILD", "META"),
+        *("AXIS_BITS", "AXIS_MASK", "LEAF_AXIS"),
+    )
+)
+READ, PUSH, LEAF, PREFETCH = map(np.uint64, (run_format.READ, run_format.PUSH, run_format.LEAF, run_format.PREFETCH))
+#: Low bits of an event: the kind of the access; above them the node.
+KIND_BITS = np.uint64(2)
+#: Where a kd ray's table has, per axis, the inverse of the direction, and the origin as seen from a plane's two sides.
+INVERSE, FROM_NEAR, FROM_FAR = np.uint64(0), np.uint64(4), np.uint64(8)
 
 #: Room for the events of a batch at first, per ray; a batch that needs more gets it.
 EVENTS_PER_RAY = 64
@@ -70,14 +80,36 @@ class Hits(NamedTuple):
 
 
 @inlined
-def _closest_in_leaf(prims, first, n_prims, corners, origin, ray, k, shear_, near_t, best, best_prim, any_hit):
+def _request_stack(events, n_events, stack, pp):
+    """Request the nodes below the prefetch pointer, from the top; return the number of events."""
+    while pp > ZERO:
+        pp -= ONE
+        events[n_events] = np.uint64(stack[pp]) << KIND_BITS | PREFETCH
+        n_events += ONE
+    return n_events
+
+
+@inlined
+def _set_up(origins, directions, core, i):
+    """Return (origin, direction, inverses, margins, backwards) of ray i.
+
+    Bit k of ``backwards``: the direction is negative along axis k, so the upper child of a node split there comes first.
+    """
+    at = i * POINT_FLOATS
+    origin = np.float64(origins[at + X]), np.float64(origins[at + Y]), np.float64(origins[at + Z])
+    direction = np.float64(directions[at + X]), np.float64(directions[at + Y]), np.float64(directions[at + Z])
+    ix, iy, iz = inverse(direction[0]), inverse(direction[1]), inverse(direction[2])
+    backwards = (ONE << X if ix < 0.0 else ZERO) | (ONE << Y if iy < 0.0 else ZERO) | (ONE << Z if iz < 0.0 else ZERO)
+    inverses = ix, iy, iz
+    return origin, direction, inverses, margins(core, origin, direction, inverses), backwards
+
+
+@inlined
+def _closest_in_leaf(prims, corners, first, n_prims, line, near_t, best, best_prim, any_hit):
     """Test the triangles of a leaf; return the better of (best, best_prim) and the best hit among them."""
-    kx, ky, kz = k
-    sx, sy, sz = shear_
-    ox, oy, oz = np.float64(origin[ray + kx]), np.float64(origin[ray + ky]), np.float64(origin[ray + kz])
     for i in range(first, first + n_prims):
         c = prims[i]
-        t = triangle_t(corners, i * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
+        t = triangle_t(corners, i * CORNER_FLOATS, line)
         if t >= near_t and (t < best or (t == best and c < best_prim)):
             best, best_prim = t, c
             if any_hit:
@@ -86,111 +118,104 @@ def _closest_in_leaf(prims, first, n_prims, corners, origin, ray, k, shear_, nea
 
 
 @inlined
-def _request_stack(stack, pp, events, n_events):
-    """Request the nodes below the pre-fetch pointer, from the top; return the number of events."""
-    while pp > ZERO:
-        pp -= ONE
-        events[n_events] = np.uint64(stack[pp]) << TWO | PREFETCH
-        n_events += ONE
-    return n_events
+def _write_hit(prim, hit_t, i, best, best_prim):
+    prim[i] = best_prim if best_prim != NO_PRIM else -1
+    hit_t[i] = best + 0.0 if best_prim != NO_PRIM else np.inf
 
 
 @inlined
-def _request_deep_stack(stack, pp, events, n_events):
-    """Request as ``_request_stack``, from a stack that begins at ``BOTTOM``, by copying eight entries without a branch.
+def _meets_box(nodes, box, from_lower, from_upper, scale, near_t, far_t):
+    """Return whether the interval near_t to far_t meets the box at ``nodes[box]``, the ray's numbers being in lanes."""
+    # The fourth lanes hold the next word of the node and are not looked at.
+    lower = scaled_difference(load(nodes, box + LOWER), from_lower, scale)
+    upper = scaled_difference(load(nodes, box + UPPER), from_upper, scale)
+    x, y, z = unpack(smaller(lower, upper))
+    t0, t1 = near_t, far_t
+    t0 = x if x > t0 else t0
+    t0 = y if y > t0 else t0
+    t0 = z if z > t0 else t0
+    x, y, z = unpack(larger(lower, upper))
+    t1 = x if x < t1 else t1
+    t1 = y if y < t1 else t1
+    t1 = z if z < t1 else t1
+    return t0 <= t1
 
-    Those too many are written over by what comes next. At a BVH's leaves four or five nodes wait; a loop mispredicts its
-    end each time, which was a third of the cost of tracing. Single words: a wide load has to wait for the stores before it.
+
+@inlined
+def _room_to_step(events, max_level):
+    """Return how many events there may be before a ray goes on: the stores between two pops are not guarded.
+
+    Between two pops a ray writes at most one event per level and one per stack entry.
     """
-    e0, e1 = np.uint64(stack[pp - ONE]) << TWO, np.uint64(stack[pp - TWO]) << TWO
-    e2, e3 = np.uint64(stack[pp - THREE]) << TWO, np.uint64(stack[pp - FOUR]) << TWO
-    e4, e5 = np.uint64(stack[pp - FIVE]) << TWO, np.uint64(stack[pp - SIX]) << TWO
-    e6, e7 = np.uint64(stack[pp - SEVEN]) << TWO, np.uint64(stack[pp - EIGHT]) << TWO
-    events[n_events], events[n_events + ONE] = e0 | PREFETCH, e1 | PREFETCH
-    events[n_events + TWO], events[n_events + THREE] = e2 | PREFETCH, e3 | PREFETCH
-    events[n_events + FOUR], events[n_events + FIVE] = e4 | PREFETCH, e5 | PREFETCH
-    events[n_events + SIX], events[n_events + SEVEN] = e6 | PREFETCH, e7 | PREFETCH
-    end = n_events + pp - BOTTOM
-    n_events += EIGHT
-    pp -= EIGHT
-    while n_events < end:
-        pp -= ONE
-        events[n_events] = np.uint64(stack[pp]) << TWO | PREFETCH
-        n_events += ONE
-    return end
+    return np.uint64(events.size - 2 * max_level - 3)
 
 
 @kernel
-def trace_bvh(
-    nodes, meta, prims, corners, core, max_level, origin, direction, t_min, t_max, any_hit, first, prim, hit_t, count, events
-):
+def trace_bvh(tree, rays, any_hit, first, hits, count, events):
     """Trace rays ``first``... through a BVH; return the first ray that did not fit into ``events``, else their number.
 
     The far child is pushed untested; a node is read and its own box tested when it is visited.
-    ``nodes`` and ``meta`` are the nodes as flat float32 and uint32; ``corners``, ``core``, ``origin``, ``direction`` are flat.
-    ``prim``, ``hit_t`` and ``count`` (accesses of each ray) are filled. Stores into ``events`` are unguarded: between two pops
-    a ray writes at most one event per level and one per stack entry, so room for that is checked at each pop.
+
+    Parameters
+    ----------
+    tree : TreeArrays
+    rays : Rays
+        Flat arrays.
+    any_hit : bool
+    first : int
+    hits : Hits
+        Filled, as is ``count``, (n,) uint32: the accesses of each ray.
+    events : uint32 array or None
+        Room for the events of all rays, one after another; None: nothing is traced.
     """
-    stack = np.empty(8 + max_level + 1, np.uint32)
+    # Unpacked once: taking an array out of a tuple counts references. Tuples as arguments cost 15 us at a call, which is for
+    # thousands of rays, and nothing in it (0.99 to 1.03 of the time with every array an argument of its own).
+    nodes, meta, prims, corners, core, _, max_level = tree
+    origins, directions, t_min, t_max = rays
+    prim, hit_t = hits
+    stack = np.empty(max_level + 1, np.uint32)
     n_events, limit = ZERO, ZERO
     if events is not None:
-        limit = np.uint64(events.size - 2 * max_level - 11)
+        limit = _room_to_step(events, max_level)
     for i in range(np.uint64(first), np.uint64(t_min.size)):
         start = n_events
         if events is not None and n_events > limit:
             return np.int64(i)
-        ray = i * THREE
-        dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
-        ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
-        ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
-        # Bit k: the direction is negative along axis k, so the upper child of a node split there comes first.
-        backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
-        k, shear_ = shear(dx, dy, dz, ix, iy, iz)
-        px, py, pz = margins(core, ox, oy, oz, dx, dy, dz, ix, iy, iz)
+        origin, direction, inverses, (px, py, pz), backwards = _set_up(origins, directions, core, i)
+        line = shear(origin, direction, inverses)
         # The origin as seen from a box's lower and upper faces: so moved that they lie a margin farther out.
+        ox, oy, oz = origin
         from_lower, from_upper = pack(ox + px, oy + py, oz + pz), pack(ox - px, oy - py, oz - pz)
-        scale = pack(ix, iy, iz)
-        best, best_prim, near_t = end_of(t_max[i], ox, oy, oz, dx, dy, dz), NO_PRIM, t_min[i]
-        sp, pp, node = BOTTOM, BOTTOM, ZERO
+        scale = pack(inverses[0], inverses[1], inverses[2])
+        best, best_prim, near_t = end_of(t_max[i], origin, direction), NO_PRIM, t_min[i]
+        sp, pp, node = ZERO, ZERO, ZERO
         while True:
-            b = node * EIGHT
-            t0, t1 = near_t, best
-            # The fourth lanes hold the next word of the node and are not looked at.
-            lower = scaled_difference(load(nodes, b), from_lower, scale)
-            upper = scaled_difference(load(nodes, b + THREE), from_upper, scale)
-            x, y, z = unpack(smaller(lower, upper))
-            t0 = x if x > t0 else t0
-            t0 = y if y > t0 else t0
-            t0 = z if z > t0 else t0
-            x, y, z = unpack(larger(lower, upper))
-            t1 = x if x < t1 else t1
-            t1 = y if y < t1 else t1
-            t1 = z if z < t1 else t1
-            if t0 <= t1:
-                m, child = np.uint64(meta[b + SEVEN]), np.uint64(meta[b + SIX])
-                if m & THREE != LEAF:
+            b = node * BVH_WORDS
+            if _meets_box(nodes, b, from_lower, from_upper, scale, near_t, best):
+                m, child = np.uint64(meta[b + META]), np.uint64(meta[b + CHILD])
+                axis = m & AXIS_MASK
+                if axis != LEAF_AXIS:
                     if events is not None:
-                        events[n_events] = node << TWO | PUSH
+                        events[n_events] = node << KIND_BITS | PUSH
                         n_events += ONE
-                    upper_first = backwards >> m & ONE
+                    upper_first = backwards >> axis & ONE
                     stack[sp] = child + ONE - upper_first
                     sp += ONE
                     pp = sp
                     node = child + upper_first
                     continue
                 if events is not None:
-                    events[n_events] = node << TWO | ENTER
-                    n_events = _request_deep_stack(stack, min(pp, sp), events, n_events + ONE)
-                    pp = BOTTOM
-                best, best_prim = _closest_in_leaf(
-                    prims, child, m >> TWO, corners, origin, ray, k, shear_, near_t, best, best_prim, any_hit
-                )
+                    events[n_events] = node << KIND_BITS | LEAF
+                    n_events = _request_stack(events, n_events + ONE, stack, min(pp, sp))
+                    pp = ZERO
+                n_prims = m >> AXIS_BITS
+                best, best_prim = _closest_in_leaf(prims, corners, child, n_prims, line, near_t, best, best_prim, any_hit)
                 if any_hit and best_prim != NO_PRIM:
                     break
             elif events is not None:
-                events[n_events] = node << TWO | READ
+                events[n_events] = node << KIND_BITS | READ
                 n_events += ONE
-            if sp == BOTTOM:
+            if sp == ZERO:
                 break
             if events is not None and n_events > limit:
                 return np.int64(i)
@@ -198,86 +223,69 @@ def trace_bvh(
             node = np.uint64(stack[sp])
         if events is not None:
             count[i] = n_events - start
-        prim[i] = best_prim if best_prim != NO_PRIM else -1
-        hit_t[i] = best + 0.0 if best_prim != NO_PRIM else np.inf
+        _write_hit(prim, hit_t, i, best, best_prim)
     return t_min.size
 
 
 @kernel
-def trace_kdtree(
-    nodes,
-    meta,
-    prims,
-    corners,
-    core,
-    bounds,
-    max_level,
-    origin,
-    direction,
-    t_min,
-    t_max,
-    any_hit,
-    first,
-    prim,
-    hit_t,
-    count,
-    events,
-):
+def trace_kdtree(tree, rays, any_hit, first, hits, count, events):
     """Trace rays ``first``... through a kd-tree; as ``trace_bvh``.
 
     The test against the scene's box is free. A ray lying in a split plane (within the margin) visits both cells with its whole
     interval; a popped entry that begins beyond the best hit is skipped, and never ends the ray, because such rays put
     entries on the stack out of order.
     """
+    nodes, meta, prims, corners, core, bounds, max_level = tree
+    origins, directions, t_min, t_max = rays
+    prim, hit_t = hits
     stack = np.empty(max_level + 1, np.uint32)
     seen = np.empty(12, np.float64)
     entry = np.empty(max_level + 1, np.float64)
     exit_ = np.empty(max_level + 1, np.float64)
     n_events, limit = ZERO, ZERO
     if events is not None:
-        limit = np.uint64(events.size - 2 * max_level - 3)
+        limit = _room_to_step(events, max_level)
     for i in range(np.uint64(first), np.uint64(t_min.size)):
         start = n_events
         if events is not None and n_events > limit:
             return np.int64(i)
-        ray = i * THREE
-        dx, dy, dz = np.float64(direction[ray]), np.float64(direction[ray + ONE]), np.float64(direction[ray + TWO])
-        ox, oy, oz = np.float64(origin[ray]), np.float64(origin[ray + ONE]), np.float64(origin[ray + TWO])
-        ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
-        px, py, pz = margins(core, ox, oy, oz, dx, dy, dz, ix, iy, iz)
-        # Per axis: the inverse, and the origin as seen from a plane's near and far side, so moved that it lies a margin
-        # farther out. A table: choosing among three variables at every node took a fifth more time.
-        seen[ZERO], seen[ONE], seen[TWO] = ix, iy, iz
-        seen[FOUR], seen[FIVE], seen[SIX] = ox + np.copysign(px, ix), oy + np.copysign(py, iy), oz + np.copysign(pz, iz)
-        seen[EIGHT], seen[NINE], seen[TEN] = ox - np.copysign(px, ix), oy - np.copysign(py, iy), oz - np.copysign(pz, iz)
-        backwards = (ONE if ix < 0.0 else ZERO) | (TWO if iy < 0.0 else ZERO) | (FOUR if iz < 0.0 else ZERO)
-        best, best_prim, near_t = end_of(t_max[i], ox, oy, oz, dx, dy, dz), NO_PRIM, t_min[i]
+        origin, direction, inverses, (px, py, pz), backwards = _set_up(origins, directions, core, i)
+        # The origin as seen from a plane's near and far side is so moved that the plane lies a margin farther out. A table:
+        # choosing among three variables at every node took 1.16 to 1.25 times the time.
+        ox, oy, oz = origin
+        ix, iy, iz = inverses
+        seen[INVERSE + X], seen[INVERSE + Y], seen[INVERSE + Z] = ix, iy, iz
+        px, py, pz = np.copysign(px, ix), np.copysign(py, iy), np.copysign(pz, iz)
+        seen[FROM_NEAR + X], seen[FROM_NEAR + Y], seen[FROM_NEAR + Z] = ox + px, oy + py, oz + pz
+        seen[FROM_FAR + X], seen[FROM_FAR + Y], seen[FROM_FAR + Z] = ox - px, oy - py, oz - pz
+        best, best_prim, near_t = end_of(t_max[i], origin, direction), NO_PRIM, t_min[i]
         t0, t1 = near_t, best
-        for axis in range(THREE):
-            near = (backwards >> axis & ONE) * THREE
-            low = (bounds[near + axis] - seen[FOUR + axis]) * seen[axis]
-            high = (bounds[THREE - near + axis] - seen[EIGHT + axis]) * seen[axis]
+        for axis in range(AXES):
+            near_side = (backwards >> axis & ONE) * POINT_FLOATS  # where the corner starts that the ray meets first
+            far_side = POINT_FLOATS - near_side
+            low = (bounds[near_side + axis] - seen[FROM_NEAR + axis]) * seen[INVERSE + axis]
+            high = (bounds[far_side + axis] - seen[FROM_FAR + axis]) * seen[INVERSE + axis]
             t0 = low if low > t0 else t0
             t1 = high if high < t1 else t1
         if t0 <= t1:
-            k, shear_ = shear(dx, dy, dz, ix, iy, iz)
+            line = shear(origin, direction, inverses)
             sp, pp, node = ZERO, ZERO, ZERO
             while True:
-                b = node * TWO
-                m = np.uint64(meta[b + ONE])
-                axis = m & THREE
-                if axis != LEAF:
-                    low = (nodes[b] - seen[FOUR + axis]) * seen[axis]
-                    high = (nodes[b] - seen[EIGHT + axis]) * seen[axis]
+                b = node * KD_WORDS
+                m = np.uint64(meta[b + KD_META])
+                axis = m & AXIS_MASK
+                if axis != LEAF_AXIS:
+                    low = (nodes[b + SPLIT] - seen[FROM_NEAR + axis]) * seen[INVERSE + axis]
+                    high = (nodes[b + SPLIT] - seen[FROM_FAR + axis]) * seen[INVERSE + axis]
                     upper_first = backwards >> axis & ONE
                     visits_near, visits_far = high >= t0, low <= t1
-                    child = m >> TWO
+                    child = m >> AXIS_BITS
                     near = child + upper_first
                     far = child + ONE - upper_first
                     # In this order: the near child is nearly always visited, and testing it first cost a third of the speed.
                     if visits_far and visits_near:
                         if events is not None:
-                            events[n_events] = node << TWO | PUSH
+                            events[n_events] = node << KIND_BITS | PUSH
                             n_events += ONE
                         stack[sp] = far
                         entry[sp] = low if low > t0 else t0
@@ -288,21 +296,19 @@ def trace_kdtree(
                         node = near
                     else:
                         if events is not None:
-                            events[n_events] = node << TWO | READ
+                            events[n_events] = node << KIND_BITS | READ
                             n_events += ONE
                         node = near if visits_near else far
                     continue
-                n_prims = m >> TWO
+                n_prims = m >> AXIS_BITS
                 if events is not None:
-                    events[n_events] = node << TWO | ENTER
+                    events[n_events] = node << KIND_BITS | LEAF
                     n_events += ONE
                     if n_prims > ZERO:
-                        n_events = _request_stack(stack, min(pp, sp), events, n_events)
+                        n_events = _request_stack(events, n_events, stack, min(pp, sp))
                         pp = ZERO
-                leaf = np.uint64(meta[b])
-                best, best_prim = _closest_in_leaf(
-                    prims, leaf, n_prims, corners, origin, ray, k, shear_, near_t, best, best_prim, any_hit
-                )
+                leaf = np.uint64(meta[b + FIRST])
+                best, best_prim = _closest_in_leaf(prims, corners, leaf, n_prims, line, near_t, best, best_prim, any_hit)
                 if any_hit and best_prim != NO_PRIM:
                     break
                 while sp > ZERO and entry[sp - ONE] > best:
@@ -315,27 +321,26 @@ def trace_kdtree(
                 node, t0, t1 = np.uint64(stack[sp]), entry[sp], exit_[sp]
         if events is not None:
             count[i] = n_events - start
-        prim[i] = best_prim if best_prim != NO_PRIM else -1
-        hit_t[i] = best + 0.0 if best_prim != NO_PRIM else np.inf
+        _write_hit(prim, hit_t, i, best, best_prim)
     return t_min.size
 
 
 @kernel
-def trace_brute(tri, origin, direction, t_min, t_max, prim, hit_t):
+def trace_brute(corners, rays, hits):
     """Closest hit against every triangle: the truth that both trees must reproduce bit by bit."""
-    for ray in range(t_min.size):
-        i = np.uint64(ray) * THREE
-        dx, dy, dz = np.float64(direction[i]), np.float64(direction[i + ONE]), np.float64(direction[i + TWO])
-        ix, iy, iz = inverse(dx), inverse(dy), inverse(dz)
-        (kx, ky, kz), (sx, sy, sz) = shear(dx, dy, dz, ix, iy, iz)
-        ox, oy, oz = np.float64(origin[i + kx]), np.float64(origin[i + ky]), np.float64(origin[i + kz])
-        best, best_prim = end_of(t_max[ray], ox, oy, oz, dx, dy, dz), NO_PRIM
-        for c in range(tri.size // 9):
-            t = triangle_t(tri, np.uint64(c) * NINE, kx, ky, kz, ox, oy, oz, sx, sy, sz)
-            if t >= t_min[ray] and (t < best or (t == best and c < best_prim)):
+    origins, directions, t_min, t_max = rays
+    prim, hit_t = hits
+    for i in range(np.uint64(t_min.size)):
+        at = i * POINT_FLOATS
+        origin = np.float64(origins[at + X]), np.float64(origins[at + Y]), np.float64(origins[at + Z])
+        direction = np.float64(directions[at + X]), np.float64(directions[at + Y]), np.float64(directions[at + Z])
+        line = shear(origin, direction, (inverse(direction[0]), inverse(direction[1]), inverse(direction[2])))
+        best, best_prim = end_of(t_max[i], origin, direction), NO_PRIM
+        for c in range(corners.size // 9):
+            t = triangle_t(corners, np.uint64(c) * CORNER_FLOATS, line)
+            if t >= t_min[i] and (t < best or (t == best and c < best_prim)):
                 best, best_prim = t, np.int32(c)
-        prim[ray] = best_prim if best_prim != NO_PRIM else -1
-        hit_t[ray] = best + 0.0 if best_prim != NO_PRIM else np.inf
+        _write_hit(prim, hit_t, i, best, best_prim)
 
 
 def make_rays(
@@ -421,36 +426,35 @@ def trace_recorded(
 
 
 def _trace(tree: Tree, rays: Rays, any_hit: bool, room: Room | None) -> tuple[Hits, np.ndarray, np.ndarray]:
-    nodes, meta = words(tree)
+    arrays, flat = tree_arrays(tree), _flat(rays)
     n = len(rays.t_min)
-    prim, t, count = np.empty(n, np.int32), np.empty(n, np.float64), np.zeros(n, np.uint32)
-    fixed: tuple[np.ndarray, ...] = (nodes, meta, tree.prims, tree.corners.reshape(-1), tree.core.reshape(-1))
-    kernel_of = trace_bvh
-    if tree.kind == "kdtree":
-        kernel_of, fixed = trace_kdtree, (*fixed, tree.bounds.reshape(-1))
-    given = (rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max, any_hit)
+    hits, count = Hits(np.empty(n, np.int32), np.empty(n, np.float64)), np.zeros(n, np.uint32)
+    trace_rays = trace_kdtree if tree.kind == "kdtree" else trace_bvh
     if room is None:
-        kernel_of(*fixed, tree.max_level, *given, 0, prim, t, count, None)
-        return Hits(prim, t), count, np.empty(0, np.uint32)
+        trace_rays(arrays, flat, any_hit, 0, hits, count, None)
+        return hits, count, np.empty(0, np.uint32)
     room.grow(EVENTS_PER_RAY * n + 4 * tree.max_level + 64)
     if room.most is not None and room.events.size > 4 * room.most:
         room.events = np.empty(EVENTS_PER_RAY * n + 4 * tree.max_level + 64, np.uint32)  # grown for a single long ray
     first = n_events = 0
     while first < n:
-        done = kernel_of(*fixed, tree.max_level, *given, first, prim, t, count, room.events[n_events:])
+        done = trace_rays(arrays, flat, any_hit, first, hits, count, room.events[n_events:])
         n_events += int(count[first:done].sum())
         if done < n:
             if n > 1 and room.most is not None and room.events.size >= room.most:
                 raise NoRoomError
             room.grow(2 * room.events.size, n_events)
         first = done
-    return Hits(prim, t), count, room.events[:n_events]
+    return hits, count, room.events[:n_events]
+
+
+def _flat(rays: Rays) -> Rays:
+    return Rays(rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max)
 
 
 def trace_all(triangles: np.ndarray, rays: Rays) -> Hits:
     """Return the closest hits by testing every triangle."""
     n = len(rays.t_min)
-    prim, t = np.empty(n, np.int32), np.empty(n, np.float64)
-    given = (rays.origin.reshape(-1), rays.direction.reshape(-1), rays.t_min, rays.t_max)
-    trace_brute(triangles.reshape(-1), *given, prim, t)
-    return Hits(prim, t)
+    hits = Hits(np.empty(n, np.int32), np.empty(n, np.float64))
+    trace_brute(triangles.reshape(-1), _flat(rays), hits)
+    return hits

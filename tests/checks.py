@@ -1,4 +1,4 @@
-"""Run all tests and write what each did: ``python -m tests.checks [-o FILE.json] [pytest's arguments]``, for the docs.
+"""Run all tests and write the counts of each: ``python -m tests.checks [-o FILE.json] [pytest's arguments]``, for the docs.
 
 Also the pytest plugin behind it (``-p tests.checks --checks FILE``). A check is one test function. It counts its cases: the
 examples of hypothesis, or what it recorded as ``cases``, or the tests it was parametrized to. ``largest error`` is what it
@@ -44,7 +44,7 @@ class Counting:
         return report
 
     def _note(self, item: pytest.Item, report: pytest.TestReport) -> None:
-        name = f"{item.path.stem}::{item.originalname}"  # type: ignore[attr-defined]
+        name = f"{_name_of(item.path)}::{item.originalname}"  # type: ignore[attr-defined]
         new = {"tests": 0, "cases": 0, "largest error": None, "failed": 0, "skipped": 0, "expected failures": 0}
         check = self._checks.setdefault(name, new)
         recorded = dict(item.user_properties)
@@ -65,8 +65,15 @@ class Counting:
 
 def what_files_check() -> dict[str, str]:
     """Return the first line of every test file's docstring, by its name."""
-    texts = {path.stem: ast.get_docstring(ast.parse(path.read_text())) for path in sorted((ROOT / "tests").glob("test_*.py"))}
+    paths = sorted((ROOT / "tests").rglob("test_*.py"))
+    texts = {_name_of(path): ast.get_docstring(ast.parse(path.read_text())) for path in paths}
     return {name: (text or "").splitlines()[0] for name, text in texts.items()}
+
+
+def _name_of(path: Path) -> str:
+    """Return the name of a test file: its path below tests/, without the suffix."""
+    folder = ROOT / "tests"
+    return path.relative_to(folder).with_suffix("").as_posix() if path.is_relative_to(folder) else path.stem
 
 
 def main() -> None:

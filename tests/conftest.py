@@ -1,4 +1,4 @@
-"""Settings for every test, and the four benchmark scenes: real where NPTRACE_SCENES has them, else built-in ones."""
+"""Settings for every test, and the four benchmark scenes: real where NPTRACE_SCENES has them, otherwise built-in ones."""
 
 import os
 

@@ -1,7 +1,7 @@
-"""Inputs nobody would write, through all that takes input: ``python -m tests.fuzz [WORD] [-n N] [-s SEED] [-o FILE]``.
+"""Unlikely inputs for everything that takes input: ``python -m tests.fuzz [WORD] [-n N] [-s SEED] [-o FILE]``.
 
-A target takes one input. What it accepts must keep what the target states; what it refuses must be refused by a ValueError
-whose message is one sentence. Anything else is a failure. ``tests/test_fuzz.py`` runs a seeded thousand; this command runs
+A target takes one input. An accepted input must keep the target's properties; a refused one must raise a ValueError whose
+message is one sentence. Anything else is a failure. ``tests/test_fuzz.py`` runs a seeded thousand; this command runs
 many more and writes how many, for docs/correctness.md. With words, only targets that have one of them are tried, and only
 their lines of FILE change.
 """

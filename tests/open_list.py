@@ -1,6 +1,6 @@
-"""The open list of hard cases that this project set out with, and which tests cover each: a table of docs/correctness.md.
+"""The hard cases that this project set out with, and the tests that cover each: a table of docs/correctness.md.
 
-A test is ``file::function`` without ``test_`` in front of either; a hard case (``rtrace/checks/hard_cases.py``) stands in quotes.
+A test is ``file::function`` without ``test_`` in front of either; a hard case (``rtrace/checks/hard_cases.py``) is in quotes.
 """
 
 # ruff: noqa: E501
@@ -61,33 +61,33 @@ OPEN_LIST = [
            "fuzz::any_input_is_accepted_or_refused_in_one_sentence")),
     Entry("D15", "equal centroids, a fan, a diagonal bundle: building ends, depth and memory stay bounded",
           ("kdtree::hard_inputs_end_within_their_limits", "bvh::hard_inputs_end",
-           "sorting::a_stack_numbered_backwards_is_one_sorted_leaf", '"triangles with one centre"', '"needles along a diagonal"',
+           "merge_sort::a_stack_numbered_backwards_is_one_sorted_leaf", '"triangles with one centre"', '"needles along a diagonal"',
            '"many triangles that share a vertex"', "builders::a_floor_that_ends_a_hair_before_its_cell_is_built_in_few_levels")),
     Entry("D16", "stack depth from the tree, not a fixed array",
           ("hard_cases::the_stack_is_filled_to_its_last_entry", '"a triangle at every power of two"',
            "builders::trees_deeper_than_64_find_what_brute_force_finds")),
     Entry("D17", "every hit of every triangle lies in a leaf that lists it",
           ("metamorphic::every_hit_lies_in_a_leaf_that_lists_its_triangle", "kdtree::leaves_list_what_an_exact_clip_finds",
-           "builders::leaves_list_exactly_what_reaches_into_them", "scenes::leaves_list_the_triangles_that_reach_into_them",
-           "scenes::points_of_triangles_lie_in_leaves_that_list_them")),
+           "builders::leaves_list_exactly_what_reaches_into_them", "benchmark_scenes::leaves_list_the_triangles_that_reach_into_them",
+           "benchmark_scenes::points_of_triangles_lie_in_leaves_that_list_them")),
     Entry("D18", "shadow rays: no acne and no leak at any scale",
           ("render::a_sphere_has_no_acne_and_no_leaks", '"shadows: ball, scale 1e-12"', '"shadows: ball, scale 1e+12"',
            '"shadows: light in a corner"')),
     Entry("D19", "an any-hit ray hits if there is a nearest hit", ("metamorphic::any_hit_is_whether_there_is_a_nearest_hit",)),
     Entry("D20", "any number of threads: the same bytes, accesses included",
-          (BYTES, "cachesim_replay::together_or_alone_and_with_any_number_of_threads",
-           "cachesim_sweep::batches_and_threads_make_no_difference")),
+          (BYTES, "replay::together_or_alone_and_with_any_number_of_threads",
+           "sweep::batches_and_threads_make_no_difference")),
     Entry("D21", "units, axes, mirrors, order of the triangles",
           ("metamorphic::units", "metamorphic::axes_and_mirrors", "metamorphic::the_order_of_the_triangles",
            "kdtree::a_power_of_two_scales_the_tree")),
-    Entry("D22", "agreement with Embree", ("verify::trees_agree_with_embree_on_the_scenes", "verify::trees_agree_with_embree_on_small_shapes")),
+    Entry("D22", "agreement with Embree", ("embree::trees_agree_with_embree_on_the_scenes", "embree::trees_agree_with_embree_on_small_shapes")),
     Entry("D23", "a mesh of any bits: no crash, no hang",
           ("metamorphic::a_mesh_of_any_bits_is_traced_or_refused", "fuzz::any_input_is_accepted_or_refused_in_one_sentence")),
-    Entry("D24", "caches against streams made by hand, inclusion of LRU, stack distances",
-          ("cachesim_replay::every_count_is_that_of_the_model", "cachesim_replay::more_ways_never_miss_more",
-           "cachesim_sweep::distances_are_those_of_a_list", "cachesim_golden::every_printed_counter")),
-    Entry("D25", "with and without the filter: the same counts", ("cachesim_sweep::the_filter_changes_no_count",)),
+    Entry("D24", "caches on streams with known answers, inclusion of LRU, stack distances",
+          ("replay::every_count_is_that_of_the_model", "replay::more_ways_never_miss_more",
+           "sweep::distances_are_those_of_a_list", "dinero_golden::every_printed_counter")),
+    Entry("D25", "with and without the filter: the same counts", ("sweep::the_filter_changes_no_count",)),
     Entry("D26", "the interval of an estimate covers the truth",
-          ("estimate::a_small_calibration", "regression::intervals_hold_as_often_as_they_say",
-           "known::certain_and_open_misses_bracket_the_truth")),
+          ("estimate::a_small_calibration", "two_phase::intervals_hold_as_often_as_they_say",
+           "cold_start::certain_and_open_misses_bracket_the_truth")),
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""What counts the checks counts right, and the open list names tests and hard cases that exist."""
+"""The counts of ``tests.checks`` are right, and the open list names existing tests and hard cases."""
 
 import ast
 import json
@@ -68,7 +68,7 @@ def test_cases_errors_and_results_are_counted(tmp_path):
 
 def test_the_open_list_names_what_there_is():
     known = {f'"{name}"' for name in CASES}
-    for path in TESTS.glob("test_*.py"):
+    for path in TESTS.rglob("test_*.py"):
         functions = (node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef))
         known |= {f"{path.stem}::{name}".replace("test_", "") for name in functions if name.startswith("test_")}
     assert [entry.name for entry in OPEN_LIST] == [f"D{n}" for n in range(1, 27)]

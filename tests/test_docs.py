@@ -1,4 +1,4 @@
-"""What the README says is so: its SQL runs, its table is what the program prints, its pictures of the model hold."""
+"""The pages are right: the README's SQL runs, Table I is what the program prints, the frontier is one."""
 
 import csv
 import os

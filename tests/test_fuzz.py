@@ -1,4 +1,4 @@
-"""A seeded thousand of the inputs of ``tests.fuzz``, and that each target does accept and refuse."""
+"""A seeded thousand inputs of ``tests.fuzz``; each target accepts some and refuses some."""
 
 import pytest
 

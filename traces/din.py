@@ -1,11 +1,12 @@
-"""DineroIV traces, text and binary: x.din -> (address, size, label) batch by batch; a run -> x.din that DineroIV can replay.
+"""DineroIV traces, text and binary: x.din -> (address, size, type) batch by batch; a run -> x.din that DineroIV can replay.
 
-Text (its input format ``d``) is one access a line, ``label address`` in hexadecimal, 0x allowed; whatever follows on the line
-is ignored. Binary (format ``b``) is records of eight bytes: address uint32, size uint16, label uint8, one byte unused, little
-endian. As DineroIV does, a text access is taken as 4 bytes at ``address & ~3``. Unlike DineroIV, blank lines, CR and UTF-16
-are allowed, all may be packed (``traces.stream``), and what lies at 2^32 and beyond is an error instead of being cut off.
+Text (its input format ``d``) has one access per line, ``type address`` in hexadecimal, 0x allowed; the rest of the line is
+ignored. Binary (format ``b``) has records of eight bytes: address uint32, size uint16, type uint8, one byte unused, little
+endian. As in DineroIV, a text access is 4 bytes at ``address & ~3``. Unlike DineroIV, blank lines, CR and UTF-16 are allowed,
+traces may be compressed (``traces.stream``), and an address at 2^32 or beyond is an error instead of being truncated.
 
-Labels: 0 read, 2 instruction fetch, 3 miscellaneous (a read that triggers nothing), b an explicit pre-fetch (8 | 3). Nodes are
+Access types (DineroIV's labels): 0 read, 2 instruction fetch, 3 miscellaneous (a read that triggers nothing), b an explicit
+prefetch (8 | 3). Nodes are
 read-only, so writes (1), copy-backs (4), invalidations (5) and everything else are errors.
 """
 
@@ -25,12 +26,12 @@ from traces.stream import Stream, StreamError
 LABELS = (0x0, 0x2, 0x3, 0xB)
 TEXT_ACCESS_BYTES = 4
 
-#: How an export labels the pre-fetch requests of a run; None leaves them out.
+#: Access types of a run's prefetch requests in an export; None leaves them out.
 PREFETCH_LABELS = {"b": 0xB, "read": 0x0, "misc": 0x3, "omit": None}
 
 RECORD = np.dtype([("address", "<u4"), ("size", "<u2"), ("label", "u1"), ("pad", "u1")])
 
-_CHUNK_BYTES = 1 << 20  # some 150,000 accesses; four times as many took no less time and 100 MB more
+_CHUNK_BYTES = 1 << 20  # some 150,000 accesses; a larger chunk took as long and more memory
 _HEX = np.full(256, 255, np.uint8)
 for _digit, _char in enumerate("0123456789abcdef"):
     _HEX[ord(_char)] = _HEX[ord(_char.upper())] = _digit
@@ -48,7 +49,7 @@ class DinTrace:
         self.stream = Stream(path)
 
     def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray | int, np.ndarray]]:
-        """Yield (address uint32, size in bytes, label uint8); the size is one number for text, an array for binary."""
+        """Yield (address uint32, size in bytes, access type uint8); the size is one number for text, an array for binary."""
         chunks, n = self.stream.chunks(_CHUNK_BYTES, _has_records), 0
         first = next(chunks, b"")
         encoding = _encoding(first)
@@ -88,7 +89,7 @@ class DinTrace:
         for chunk in chunks:
             if len(chunk) % RECORD.itemsize:
                 raise DinError(
-                    f"{self.stream.where} is cut off: its size is not a whole number of {RECORD.itemsize}-byte records"
+                    f"{self.stream.where} is truncated: its size is not a whole number of {RECORD.itemsize}-byte records"
                 )
             records = np.frombuffer(chunk, RECORD)
             address, size, label = (np.ascontiguousarray(records[name]) for name in ("address", "size", "label"))
@@ -101,7 +102,7 @@ class DinTrace:
 
 
 def _has_records(head: bytes) -> bool:
-    """Return whether bytes are binary records, of which none is wrong."""
+    """Return whether bytes are valid binary records."""
     records = np.frombuffer(head[: len(head) // RECORD.itemsize * RECORD.itemsize], RECORD)
     good = np.isin(records["label"], LABELS) & (records["size"] > 0) & (records["pad"] == 0)
     return records.size > 0 and bool(good.all())
@@ -114,7 +115,7 @@ _TEXT_BYTES = np.array([9, 10, 13, *range(32, 127)], np.uint8)
 
 
 def _encoding(head: bytes) -> str:
-    """Return how the text that begins so is encoded, "" for binary records."""
+    """Return the encoding of text by its first bytes, "" for binary records."""
     head = head[:4096]
     if _has_records(head):
         return ""
@@ -129,7 +130,7 @@ def _encoding(head: bytes) -> str:
 
 
 def _lines_of(chunks: Iterable[bytes], encoding: str) -> Iterator[bytes]:
-    """Yield text in one byte a character, its lines ended by LF, whether by CR, LF or both before."""
+    """Yield text as one byte per character, with LF for every line end (CR, LF or both)."""
     decoder = None if encoding in ("ascii", "utf-8") else codecs.getincrementaldecoder(encoding)("replace")
     is_first, held = True, b""
     for chunk in chunks:
@@ -148,10 +149,10 @@ def _lines_of(chunks: Iterable[bytes], encoding: str) -> Iterator[bytes]:
         yield b"\n"
 
 
-#: Labels that DineroIV knows and a trace of reads cannot have.
+#: Access types that DineroIV knows and that a trace of reads cannot have.
 _FOREIGN = {1: "a write, and nodes are read-only", 4: "a copy-back, and nodes are read-only",
             5: "an invalidation, and nothing invalidates nodes", 8: "DineroIV's end mark"}  # fmt: skip
-_KNOWN = "labels are 0 (read), 2 (instruction fetch), 3 (misc) and b (pre-fetch)"
+_KNOWN = "access types are 0 (read), 2 (instruction fetch), 3 (misc) and b (prefetch)"
 
 
 def _explain(error: int, line: str) -> str:
@@ -159,34 +160,32 @@ def _explain(error: int, line: str) -> str:
     if error == _BAD_LABEL:
         label = fields[0] if fields else repr(line)  # a control character that Python takes for a blank
         if label.lower() in ("r", "w", "i", "m", "c", "v"):
-            return (
-                f"label {label} is of DineroIV's extended format (-informat D), which is not read; write `0 1a2b40` for a read"
-            )
+            return f"access type {label} is of DineroIV's extended format (-informat D), which is not read; write `0 1a2b40`"
         try:
             kind = _FOREIGN.get(int(label, 16), "unknown")
         except ValueError:
             kind = "not hexadecimal"
-        return f"label {label[:40]} is {kind}; {_KNOWN}"
+        return f"access type {label[:40]} is {kind}; {_KNOWN}"
     address = fields[1][:40] if len(fields) > 1 else ""
     if error == _WIDE_ADDRESS:
         return f"address {address} has more than 32 bits, which DineroIV's traces cannot hold; rebase the trace"
     found = f"{address!r} is not a hexadecimal address" if address else "the address is missing"
-    return f"{found}; write `label address`, as in `0 1a2b40`"
+    return f"{found}; write `type address`, as in `0 1a2b40`"
 
 
 def _explain_record(address: int, size: int, label: int) -> str:
     if label not in LABELS:
-        return _explain(_BAD_LABEL, f"{label:x}") if label != 0xC else f"label c is unknown; {_KNOWN}"
+        return _explain(_BAD_LABEL, f"{label:x}") if label != 0xC else f"access type c is unknown; {_KNOWN}"
     if size == 0:
         return "a size of 0 B reads nothing"
     return (
-        f"{size} B at {address:x} reach past 2^32, where DineroIV goes on at 0; rebase the trace, or split the record into two"
+        f"{size} B at {address:x} reach past 2^32, where DineroIV wraps to 0; rebase the trace, or split the record into two"
     )
 
 
 @kernel
 def first_bad_record(address, size, label):
-    """Return the first record with an unknown label, no bytes, or bytes at 2^32 and beyond; the number of records if none."""
+    """Return the first record with an unknown type, no bytes, or bytes at 2^32 and beyond; the number of records if none."""
     for i in range(np.uint64(address.size)):
         of_label = label[i]
         known = of_label == 0 or of_label == 2 or of_label == 3 or of_label == 11
@@ -197,7 +196,7 @@ def first_bad_record(address, size, label):
 
 @kernel
 def parse(text, digits, address, label):
-    """Parse whole lines of ``label address``; return (accesses, lines before the first bad one, error code).
+    """Parse whole lines of ``type address``; return (accesses, lines before the first bad one, error code).
 
     ``digits`` maps a byte to its value as a hexadecimal digit, 255 for none.
     """
@@ -247,7 +246,7 @@ def export_din(
     addresses: np.ndarray | None = None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> int:
-    """Write a run as a DineroIV trace and return the number of accesses written; the file appears whole or not at all.
+    """Write a run as a DineroIV trace, atomically; return the number of accesses written.
 
     Parameters
     ----------
@@ -257,27 +256,27 @@ def export_din(
         ``"text"`` (for ``-informat d``) or ``"binary"`` (``-informat b``). Only binary keeps the size of a node: text
         accesses are 4 bytes to DineroIV, so a node that spans lines counts once.
     prefetch : str
-        The label of the pre-fetch requests: ``"b"``, ``"read"`` (0), ``"misc"`` (3), or ``"omit"``.
+        The access type of the prefetch requests: ``"b"``, ``"read"`` (0), ``"misc"`` (3), or ``"omit"``.
     addresses : (n_nodes,) integer array, optional
         Byte address of every node; as stored when None.
     warn : callable, optional
-        Called with a sentence when DineroIV does not count the trace as we do: where a pre-fetch spans two lines.
+        Called with a sentence when DineroIV counts the trace differently: where a prefetch spans two lines.
     """
     if fmt not in ("text", "binary"):
         raise DinError(f"{fmt!r} is not a format of a DineroIV trace; choose text or binary")
     if prefetch not in PREFETCH_LABELS:
-        raise DinError(f"{prefetch!r} is not a label for pre-fetches; choose one of {', '.join(PREFETCH_LABELS)}")
+        raise DinError(f"{prefetch!r} is not an access type for prefetches; choose one of {', '.join(PREFETCH_LABELS)}")
     node_bytes = run.footer.tree.node_bytes
     if addresses is None:
         addresses = run.columns("nodes", ["address"])["address"]
     highest = int(addresses.max()) + node_bytes
     if highest > 1 << 32:
-        raise DinError(f"{run.name} reaches address {highest:#x}; a DineroIV trace holds 32 bits, so move the layout down")
+        raise DinError(f"{run.name} reaches address {highest:#x}; a DineroIV trace has 32 bits, so move the layout down")
     if fmt == "binary" and prefetch == "b":
         is_aligned = node_bytes & (node_bytes - 1) == 0 and not (addresses % np.asarray(node_bytes, addresses.dtype)).any()
         lines = f"lines shorter than {node_bytes} B" if is_aligned else "lines of any size"
         warn(
-            f"with {lines}, pre-fetches of {node_bytes} B span two, and DineroIV counts those wrongly, or stops with -uccc; "
+            f"with {lines}, prefetches of {node_bytes} B span two, and DineroIV counts those wrongly, or stops with -uccc; "
             "use longer lines, --prefetch read, or npcache replay"
         )
     narrow = np.ascontiguousarray(addresses, np.uint32)
@@ -303,13 +302,13 @@ def _records(address: np.ndarray, label: np.ndarray, size: int) -> bytes:
 
 
 def _lines(address: np.ndarray, label: np.ndarray) -> bytes:
-    text = np.empty(11 * address.size, np.uint8)  # label, blank, at most eight digits, newline
+    text = np.empty(11 * address.size, np.uint8)  # type, blank, at most eight digits, newline
     return text[: format_lines(address, label, text)].tobytes()
 
 
 @kernel
 def format_lines(address, label, text):
-    """Write ``label address`` lines in lower-case hexadecimal without leading zeros; return the number of bytes."""
+    """Write ``type address`` lines in lower-case hexadecimal without leading zeros; return the number of bytes."""
     n = 0
     for i in range(address.size):
         digit = label[i]

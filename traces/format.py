@@ -1,4 +1,4 @@
-"""The contract between the stages: what a run on disk is. ``writer`` and ``reader`` keep it; all three know neither stage.
+"""The contract between the stages: what a run on disk is. ``writer`` and ``reader`` follow it; all three know neither stage.
 
 A run is one directory with four files (``traces/README.md`` describes every column):
 
@@ -82,14 +82,14 @@ ENCODING: dict[str, Any] = {
 
 
 def column_encoding(schema: pa.Schema) -> dict[str, str]:
-    """Return the columns whose bytes are split: all but the two that zstd has to see as they are."""
+    """Return the columns whose bytes are split: all except the two that zstd compresses better unsplit."""
     return {name: "BYTE_STREAM_SPLIT" for name in schema.names if schema is not ACCESSES or name == "kind"}
 
 
 def printable(name: str) -> str:
-    """Return a file's name as text that UTF-8 can hold: bytes that are none appear as ``\\xef``."""
+    """Return a file's name as UTF-8 text; other bytes appear as ``\\xef``."""
     return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
 class RunError(NptraceError):
-    """A directory that is not a readable run; the message says what is wrong and what to do."""
+    """A directory that is not a readable run; the message states the problem and the way out."""

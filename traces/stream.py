@@ -1,4 +1,4 @@
-"""A file, a pipe or stdin -> its bytes, chunk by chunk: opened once, unpacked by what it begins with and not by its name."""
+"""A file, a pipe or stdin -> its bytes, chunk by chunk: opened once, decompressed by its first bytes, not by its name."""
 
 import bz2
 import gzip
@@ -17,12 +17,12 @@ from traces.format import RunError, printable
 
 STDIN = Path("-")
 
-#: What packed files begin with.
+#: The first bytes of compressed files.
 _PACKED = {
     b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd", b"\xfd7zXZ\0": "xz", b"BZh": "bzip2", b"\x04\x22\x4d\x18": "lz4"
 }  # fmt: skip
 
-#: What other files begin with that are given by mistake.
+#: The first bytes of other files that are given by mistake.
 _OTHERS = {
     b"PAR1": "a Parquet file; give the directory of its run", b"PK\x03\x04": "a zip archive; unpack it",
     b"7z\xbc\xaf": "a 7z archive; unpack it", b"\x1f\x9d": "packed by compress; unpack it", b"\x89PNG": "a picture",
@@ -35,11 +35,11 @@ _HEAD = 4096
 
 
 class StreamError(RunError):
-    """A file that cannot be read; the message says why and what to do."""
+    """A file that cannot be read; the message states the reason and the way out."""
 
 
 class Stream:
-    """Bytes that are read from their start again and again where that can be, once where it cannot.
+    """Bytes that can be read from their start repeatedly (a file) or once (a pipe).
 
     ``where`` names them in messages, ``name`` in results.
     """
@@ -59,22 +59,22 @@ class Stream:
             weakref.finalize(self, self._file.close)
         try:
             self._start: int | None = self._file.tell() if self._file.seekable() else None
-        except OSError:  # it says that it can be sought, as terminals do, and cannot
+        except OSError:  # it claims to be seekable, as terminals do, and is not
             self._start = None
         self._n_passes = 0
 
     def check_passes(self, n_passes: int) -> None:
-        """Raise a StreamError if the bytes cannot be read so many times."""
+        """Raise a StreamError if the bytes cannot be read ``n_passes`` times."""
         if n_passes > 1 and self._start is None:
             raise StreamError(
-                f"{self.where} is a pipe, and this reads it {n_passes} times: write it to a file first, or ask for one "
-                "pre-fetch policy and not for opt"
+                f"{self.where} is a pipe, and this command reads it {n_passes} times; write it to a file first, or use one "
+                "prefetch policy and no opt"
             )
 
     def chunks(self, n_bytes: int, plain: Any) -> Iterator[bytes]:
-        """Yield all bytes, unpacked, ``n_bytes`` at a time; fewer only at the end.
+        """Yield all bytes, decompressed, ``n_bytes`` at a time; fewer only at the end.
 
-        ``plain`` tells of the first bytes that they are what is looked for, whatever else they look like.
+        ``plain`` returns whether the first bytes are the wanted format, whatever else they resemble.
         """
         self._n_passes += 1
         self.check_passes(self._n_passes)
@@ -98,7 +98,7 @@ class Stream:
 
 
 def _read_fully(file: Any, n_bytes: int) -> bytes:
-    """Return the next ``n_bytes``, fewer only at the end: what unpacks, and a pipe, give what they have."""
+    """Return the next ``n_bytes``, fewer only at the end: decompressors and pipes return fewer."""
     pieces, missing = [], n_bytes
     while missing and (piece := file.read(missing)):
         pieces.append(piece)

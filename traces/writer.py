@@ -1,4 +1,4 @@
-"""Columns of rays, accesses and nodes -> a run on disk, written by threads of its own, whole or not at all."""
+"""Columns of rays, accesses and nodes -> a run on disk, written atomically by separate threads."""
 
 import ctypes
 import errno
@@ -33,7 +33,7 @@ from traces.format import (
     column_encoding,
 )
 
-#: Pieces handed over and not yet taken, per file: a chunk of accesses is some MB.
+#: Pieces waiting for the thread of a file: a chunk of accesses has some MB.
 _AHEAD = 2
 
 #: One array per column of a table, all of one length.
@@ -41,25 +41,25 @@ Columns = Mapping[str, np.ndarray]
 
 
 def empty_column(n: int, dtype: type[np.generic]) -> np.ndarray:
-    """Return n values not set yet, for columns that are handed over by the million.
+    """Return n uninitialized values, for columns with millions of rows.
 
-    They lie in Arrow's memory, which is used again once a row group is written. NumPy's would come fresh from the system, and
-    zeroing that took as long as filling it.
+    They lie in Arrow's memory pool, which is reused once a row group is written. NumPy's memory would come fresh from the
+    system, and zeroing that took as long as filling it.
     """
     return np.frombuffer(pa.allocate_buffer(n * np.dtype(dtype).itemsize), dtype)
 
 
 class _Table:
-    """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces handed over.
+    """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces.
 
-    A thread of its own compresses what is appended, so that the three files of a run are written at the same time
-    and the caller goes on; the arrays must not change until the run is whole.
+    A separate thread compresses the appended rows, so that the three files of a run are written at the same time and the
+    caller continues; the arrays must not change until the run is complete.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         self.schema = schema
         self.n_rows = 0
-        self._pieces: deque[pa.Table] = deque()  # taken and not yet written: less than a row group
+        self._pieces: deque[pa.Table] = deque()  # not yet written: less than a row group
         self._n_pending = 0
         self._thread = ThreadPoolExecutor(1)
         self._waiting: deque[Future[None]] = deque()
@@ -73,7 +73,7 @@ class _Table:
         self.wait(_AHEAD)
 
     def wait(self, n_left: int = 0) -> None:
-        """Wait until at most ``n_left`` pieces are not taken yet; raise what went wrong."""
+        """Wait until at most ``n_left`` pieces wait; raise the thread's exception."""
         while len(self._waiting) > n_left:
             self._waiting.popleft().result()
 
@@ -100,7 +100,7 @@ class _Table:
             self._writer.write_table(pa.concat_tables(group), row_group_size=ROW_GROUP)
 
     def complete(self) -> None:
-        """Have what is left written; nothing more is appended."""
+        """Start writing the remaining rows; nothing more is appended."""
         self._waiting.append(self._thread.submit(self._write, 1))
 
     def close(self, footer: bytes) -> None:
@@ -111,9 +111,9 @@ class _Table:
         self._file.close()
 
     def abandon(self, is_hasty: bool) -> None:
-        """Close the file handle and ignore what it says: the file is about to be deleted.
+        """Close the file handle and ignore its errors: the file is about to be deleted.
 
-        In haste the thread is left to what it is doing, and so is the handle, which the end of the program closes.
+        In haste the thread and its handle are abandoned; the end of the program closes them.
         """
         self._thread.shutdown(wait=not is_hasty, cancel_futures=True)
         if is_hasty:
@@ -125,7 +125,7 @@ class _Table:
 
 
 class RunWriter:
-    """Write one run; as a context manager the run appears whole at the end, or not at all.
+    """Write one run, as a context manager: the run appears complete at the end, or not at all.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class RunWriter:
             self._temp = self._real.with_name(f".{self._real.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
             self._temp.mkdir()
         except (FileExistsError, NotADirectoryError) as e:
-            raise RunError(f"cannot write {self.path}: {self.path.parent} is no folder; choose another --out") from e
+            raise RunError(f"cannot write {self.path}: {self.path.parent} is not a folder; choose another --out") from e
         except OSError as e:
             raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
         self._tables: dict[str, _Table] = {}
@@ -172,12 +172,12 @@ class RunWriter:
         self._tables[table].append(columns)
 
     def complete(self) -> None:
-        """Have what is left of all rows written, while the caller goes on; for a caller with something else to do."""
+        """Start writing the remaining rows in the background."""
         for table in self._tables.values():
             table.complete()
 
     def image(self, png: bytes) -> None:
-        """Store the picture, and its sha256 in the footers: PNG readers tend to show what is left of a damaged one."""
+        """Store the picture, and its sha256 in the footers: PNG readers tend to show a damaged picture without an error."""
         (self._temp / "image.png").write_bytes(png)
         self._footer = replace(self._footer, image_sha256=hashlib.sha256(png).hexdigest())
 
@@ -210,7 +210,7 @@ class RunWriter:
                     return
                 self._temp.chmod(stat.S_IMODE(self._real.stat().st_mode))
                 if _exchange(self._temp, self._real):
-                    _remove(self._temp)  # now the earlier run
+                    _remove(self._temp)  # now the previous run
                     return
                 old = self._temp.with_suffix(".old")
                 self._real.rename(old)
@@ -249,7 +249,7 @@ def refuse_other(path: Path, footer: Footer) -> None:
 
 
 def _exchange(a: Path, b: Path) -> bool:
-    """Swap two directories in one step, so that there is a run at every moment; return False where that cannot be done."""
+    """Swap two directories in one step, so that a run exists at every moment; return False where the system cannot."""
     renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if os.name == "posix" else None
     at_cwd, exchange = -100, 2
     return renameat2 is not None and renameat2(at_cwd, os.fsencode(a), at_cwd, os.fsencode(b), exchange) == 0
@@ -263,7 +263,7 @@ def _looks_like_run(path: Path) -> bool:
 
 
 def _sweep(path: Path) -> None:
-    """Delete what killed processes left beside ``path``; put back a run that was moved aside when its writer was killed."""
+    """Delete leftovers of killed processes beside ``path``; restore a run that a killed writer had moved aside."""
     for left in path.parent.glob(f".{glob.escape(path.name)}.*-*"):
         pid = left.name[len(path.name) + 2 :].partition("-")[0]
         if left.suffix not in (".tmp", ".old") or not pid.isdigit() or is_alive(int(pid)):
@@ -275,7 +275,7 @@ def _sweep(path: Path) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Delete a folder with all in it, or a link without what it leads to."""
+    """Delete a folder and its contents, or a link but not its target."""
     if path.is_symlink():
         path.unlink(missing_ok=True)
     else:

@@ -1,7 +1,7 @@
 """A Result as DineroIV prints it: the statistics block, row for row and byte for byte.
 
-Columns are Total, Instrn, Data (read, write and misc), Read, Write and Misc. Rows about pre-fetches appear, as there, with any
-fetch policy but demand; rows about the three kinds of misses when they were asked for. A rate whose denominator is 0 is
+Columns are Total, Instrn, Data (read, write and misc), Read, Write and Misc. Rows about prefetches appear, as there, with any
+fetch policy except demand; rows about the three kinds of misses appear on request. A rate whose denominator is 0 is
 printed as its numerator, as DineroIV does.
 """
 
@@ -27,8 +27,8 @@ def dinero_block(result: Result, *, name: str = "l1-ucache", prefetch_rows: bool
     name : str
         The cache's name, the block's first line.
     prefetch_rows : bool, optional
-        Whether to print the rows about pre-fetches (DineroIV: ``-fetch l``, not ``-fetch d``); when None, if the replay
-        had a pre-fetcher or pre-fetches.
+        Whether to print the rows about prefetches (DineroIV: ``-fetch l``, not ``-fetch d``); when None, if the replay
+        had a prefetcher or prefetches.
     """
     if prefetch_rows is None:
         prefetch_rows = result.prefetch.startswith("next-line") or result.prefetch_accesses > 0

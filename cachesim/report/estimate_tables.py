@@ -1,4 +1,4 @@
-"""Estimates for people: results of ``sampling.estimate`` -> tables with half-widths, alone or beside the paper's Table I."""
+"""Printed estimates: results of ``sampling.estimate`` -> tables with half-widths, alone or beside the paper's Table I."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,9 +10,9 @@ from cachesim.sampling.two_phase import Interval
 from nptrace_base.tables import Table, number
 
 NOTES = (
-    f"value +-half-width: all values of a run lie within theirs, at once, in {100 * CONFIDENCE:.0f} % of the seeds; exact "
-    "values have none. A: without, B: with pre-fetching; demand: demand misses / demand accesses; paper: all misses / all "
-    "accesses; traffic: KB B / KB A.",
+    f"value +-half-width: all values of a run lie within their half-widths at once in {100 * CONFIDENCE:.0f} % of the seeds; "
+    "exact values have none. A: without, B: with prefetching; demand: demand misses / demand accesses; paper: all misses / "
+    "all accesses; traffic: KB B / KB A.",
 )
 
 _COLUMNS = {
@@ -35,13 +35,13 @@ def _value(value: Interval | None, scale: float, decimals: int) -> str:
 
 
 def _up(half: float, decimals: int) -> float:
-    """Return a half-width rounded up: it is never printed smaller than it is, and never as 0."""
+    """Return a half-width rounded up, so that it is never printed too small or as 0."""
     step = 10.0**-decimals
     return half if half in (0.0, float("inf")) else -(-half // step) * step
 
 
 def tables(results: Sequence[Estimated]) -> tuple[list[Table], list[str]]:
-    """Return one table per run, one of what each cost, and the notes below."""
+    """Return one table per run, a table of costs, and the notes below them."""
     made = []
     for result in results:
         rows = []
@@ -62,7 +62,7 @@ def _cost(results: Sequence[Estimated]) -> Table:
          ("" if r.method == "exact" else "about ") + number(r.exact_seconds, 2), _value(r.accesses_per_ray, 1.0, 2)]
         for r in results
     ]  # fmt: skip
-    return Table("what it took", header, rows, n_left=2)
+    return Table("cost", header, rows, n_left=2)
 
 
 def _reasons(results: Sequence[Estimated]) -> list[str]:
@@ -119,7 +119,7 @@ def _table1_values(tree: str, cell: Cell) -> dict[str, Interval | None]:
     if first is not None and second is not None and of["paper_ratio"] is not None:
         below, above = acpr(n, first.value), acpr(n, second.value)
         assert below and above
-        # Apart, the errors of the two rates add up; their ratio's own interval is narrower by what they share.
+        # The errors of two separate rates add up; the interval of their ratio is narrower, because the rates share errors.
         share = slope * first.value / below
         ratio = of["paper_ratio"]
         half = share * ratio.half + abs(slope * (ratio.value - above / below) / below) * first.half

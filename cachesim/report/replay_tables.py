@@ -1,4 +1,4 @@
-"""Results of ``npcache replay`` for people and programs: tables, JSON, CSV, and DineroIV's statistics."""
+"""Results of ``npcache replay`` as tables, JSON, CSV, and DineroIV's statistics."""
 
 import csv
 import io
@@ -12,17 +12,17 @@ from cachesim.result import Result
 from nptrace_base.tables import Table, number, percent
 
 _NOTES = (
-    "demand miss rate = demand misses / demand accesses; paper miss rate = all misses / all accesses (demand + pre-fetch); "
+    "demand miss rate = demand misses / demand accesses; paper miss rate = all misses / all accesses (demand + prefetch); "
     "KB = lines filled x line bytes.",
 )
 _3C_NOTE = (
     "compulsory + capacity + conflict = demand misses; conflict: the fully associative cache of the same size and policy "
-    "hits; else compulsory: first touch of the line; else capacity."
+    "hits; otherwise compulsory: first touch of the line; otherwise capacity."
 )
 _PREFETCH_NOTES = (
-    "coverage = 1 - demand misses with / without pre-fetching; traffic ratio = KB with / without; accuracy = useful / filled; "
+    "coverage = 1 - demand misses with / without prefetching; traffic ratio = KB with / without; accuracy = useful / filled; "
     "issued = redundant + filled, filled = useful + useless + resident; "
-    "pollution = demand misses on lines a pre-fetch evicted.",
+    "pollution = demand misses on lines that a prefetch evicted.",
 )
 
 
@@ -62,7 +62,7 @@ def tables(results: Sequence[Result]) -> tuple[list[Table], list[str]]:
 
 def _source(result: Result) -> str:
     layout = f", layout {result.layout}" if result.layout != "stored" else ""
-    return f"{result.run}, pre-fetch {result.prefetch}{layout}"
+    return f"{result.run}, prefetch {result.prefetch}{layout}"
 
 
 def _tables_of_group(results: list[Result]) -> list[Table]:
@@ -88,5 +88,5 @@ def _tables_of_group(results: list[Result]) -> list[Table]:
             + [percent(r.accuracy), number(r.pollution)]
             for r in results
         ]
-        made.append(Table("its pre-fetches", header, rows))
+        made.append(Table(f"prefetches of {results[0].run}", header, rows))
     return made

@@ -15,7 +15,7 @@ from cachesim.sweep import Row
 from nptrace_base.atomic import is_special, whole_file
 from nptrace_base.errors import NptraceError
 
-#: What a sweep is written as, by the ending of a name.
+#: The formats of a sweep, by the ending of a name.
 TABLES = (".csv", ".parquet")
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -30,13 +30,13 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 
 def write(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as a CSV or Parquet file, by the ending of its name; whole or not at all."""
+    """Write rows as a CSV or Parquet file, atomically; the ending of its name chooses."""
     ending = ending_of(path, TABLES)
     with whole_file(path) as temporary, open(temporary, "wb") as file:
         if ending == ".csv":
             file.write(to_csv(rows).encode("utf-8", "surrogateescape"))
             return
-        # Parquet holds text, and a run's name may be none.
+        # Parquet holds UTF-8, and a run's name may not be UTF-8.
         dicts = [{**row.to_dict(), "run": row.run.encode("utf-8", "backslashreplace").decode()} for row in rows]
         types_of = {str: pa.string(), int: pa.int64()}  # the others are rates, and may be None
         fields = [pa.field(name, types_of.get(type(value), pa.float64())) for name, value in dicts[0].items()]
@@ -44,7 +44,7 @@ def write(rows: Sequence[Row], path: Path) -> None:
 
 
 def ending_of(path: Path, endings: Sequence[str]) -> str:
-    """Return the ending that says what is written; the first for standard output and the like, whose names have none.
+    """Return the ending that chooses the format; the first one for standard output and the like, whose names have none.
 
     Raises NptraceError for a file of another ending.
     """
@@ -58,8 +58,8 @@ def ending_of(path: Path, endings: Sequence[str]) -> str:
 def plot(rows: Sequence[Row], path: Path) -> None:
     """Draw the demand miss rate over size, a curve per number of ways, as a PNG, SVG or PDF file by the ending of its name.
 
-    One panel for each run (with its pre-fetches and layout) and line size. Of more than six numbers of ways, the powers of two
-    are drawn. Solid: with pre-fetching; dashed: without, where there is any.
+    One panel for each run (with its prefetches and layout) and line size. Of more than six numbers of ways, the powers of two
+    are drawn. Solid: with prefetching; dashed: without, where there is any.
     """
     ending = ending_of(path, PICTURES)
     with whole_file(path) as temporary:
@@ -88,7 +88,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
 
 
 def _run_of(row: Row) -> tuple[str, str]:
-    """Return the name of a run, and what else tells its rows apart."""
+    """Return the name of a run, and the other settings that tell its rows apart."""
     settings = [row.prefetch] * (row.prefetch not in ("none", "traced")) + [row.layout] * (row.layout != "stored")
     return row.run, "".join(f", {setting}" for setting in settings)
 
@@ -98,7 +98,7 @@ def _ways_of(row: Row) -> int | str:
 
 
 def _styles(rows: Sequence[Row]) -> dict[int | str, dict[str, Any]]:
-    """Return colour and marker for every number of ways that is drawn: light to dark, an order that grey keeps."""
+    """Return colour and marker for every number of ways that is drawn: light to dark, so that a grey print keeps the order."""
     from matplotlib import colormaps
 
     ways = sorted({way for row in rows if isinstance(way := _ways_of(row), int)})
@@ -148,7 +148,7 @@ def _draw_legend(figure: Any, styles: dict[int | str, dict[str, Any]], *, has_pr
     figure.legend(handles=keys, title="ways (LRU)", loc="outside right upper", frameon=False, fontsize=8)
     if has_prefetch:
         keys = [
-            Line2D([], [], color="0.3", linestyle="-", label="with\npre-fetching"),
+            Line2D([], [], color="0.3", linestyle="-", label="with\nprefetching"),
             Line2D([], [], color="0.3", linestyle="--", label="without"),
         ]
         figure.legend(handles=keys, loc="outside right lower", frameon=False, fontsize=8)

@@ -1,6 +1,6 @@
 """Table I of the paper beside ours: the runs of the four scenes and two trees -> one row per tree, scene and cache.
 
-The paper's metric counts pre-fetches as accesses: its miss rate is all misses / all accesses, its bandwidth all fills. Its
+The paper's metric counts prefetches as accesses: its miss rate is all misses / all accesses, its bandwidth all fills. Its
 ACPR is N ((1 - R) 1 + R 100) with that miss rate R and one N for all scenes of a tree (``PAPER_N``, derived from the table:
 ACPR / (1 + 99 R) is the same in every row). The demand metric stands beside it.
 """
@@ -20,14 +20,14 @@ from traces.reader import Run
 TREES = {"kdtree": "kd-tree", "bvh": "BVH"}
 SCENES = ("bunny", "conference", "sibenik", "sponza")
 
-#: The paper's average number of node accesses of a ray, by tree.
+#: The paper's average number of node accesses per ray, by tree.
 PAPER_N = {"kdtree": 15.77, "bvh": 27.00}
 HIT_CYCLES, MISS_CYCLES = 1, 100
 
 #: The paper's columns: miss rate in per cent, bandwidth in KB, ACPR in cycles; ratios are b/a in per cent.
 NAMES = ("miss_a", "miss_b", "miss_ratio", "kb_a", "kb_b", "kb_ratio", "acpr_a", "acpr_b", "acpr_ratio")
 
-#: Ours beside them: counts, and per cent.
+#: Our additional columns: counts, and per cent.
 DEMAND_NAMES = (
     "demand_accesses", "prefetches", "demand_miss_a", "demand_miss_b", "demand_ratio", "coverage", "accuracy"
 )  # fmt: skip
@@ -37,7 +37,7 @@ Key = tuple[str, str, int, int]  # tree, scene, size_bytes, ways
 
 @dataclass(frozen=True)
 class Table1Row:
-    """One row: ``ours`` and ``paper`` by the names above; ``nodes_per_ray`` is the measured N."""
+    """One row: ``ours`` and ``paper`` by the names above; ``nodes_per_ray`` is the measured N (accesses per ray)."""
 
     tree: str
     scene: str
@@ -84,7 +84,7 @@ def acpr(n: float, miss_rate: float | None) -> float | None:
 def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
     """Return the run of every (tree, scene) of the table; others are left out.
 
-    Of several, the one named ``<scene>-<tree>`` is taken; without one, that is an error.
+    Of several runs the one named ``<scene>-<tree>`` is chosen; without one of that name, NptraceError.
     """
     found: dict[tuple[str, str], list[Run]] = {}
     for run in runs:

@@ -1,4 +1,4 @@
-"""Table I for people: rows of ``cachesim.report.table1`` -> tables (ours, the paper's, the difference) and the notes below."""
+"""Table I, printed: rows of ``cachesim.report.table1`` -> tables (ours, the paper's, the difference) and the notes below."""
 
 from collections.abc import Sequence
 
@@ -15,24 +15,24 @@ _DECIMALS = {"miss_a": 1, "miss_b": 1, "kb_a": 0, "kb_b": 0}
 _DEMAND = ("demand_miss_a", "demand_miss_b", "demand_ratio", "coverage", "accuracy")
 
 NOTES = (
-    "A: without, B: with pre-fetching; rates and B/A in %. miss, KB and ACPR are the paper's metric, which counts "
-    "pre-fetches as accesses: miss = all misses / all accesses (demand + pre-fetch), KB = all lines filled. "
+    "A: without, B: with prefetching; rates and B/A in %. miss, KB and ACPR are the paper's metric, which counts "
+    "prefetches as accesses: miss = all misses / all accesses (demand + prefetch), KB = all lines filled. "
     "diff = ours - paper.",
-    "The demand metric leaves pre-fetches out: demand = demand misses / demand accesses; coverage = 1 - demand misses B / A; "
-    "accuracy = useful / filled pre-fetches.",
+    "The demand metric leaves prefetches out: demand = demand misses / demand accesses; coverage = 1 - demand misses B / A; "
+    "accuracy = useful / filled prefetches.",
     f"ACPR = N ((1 - R) 1 + R 100) with the paper's miss rate R and its N: {PAPER_N['kdtree']:.2f} (kd-tree), "
     f"{PAPER_N['bvh']:.2f} (BVH).",
 )  # fmt: skip
 
 
 def tables(rows: Sequence[Table1Row]) -> list[Table]:
-    """Return one table per tree, and one of the ACPR with the measured N."""
+    """Return one table per tree, and a table of the ACPR with the measured N."""
     made = [_tree_table(title, [row for row in rows if row.tree == tree]) for tree, title in TREES.items()]
     return [table for table in made if table.rows] + [_acpr_table(rows)]
 
 
 def notes(rows: Sequence[Table1Row]) -> list[str]:
-    """Return the lines under the tables."""
+    """Return the notes below the tables."""
     stand_ins = [] if not any(row.is_stand_in for row in rows) else [
         "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
     ]  # fmt: skip

@@ -25,8 +25,9 @@ from cachesim.source import demand_only
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 
-#: Columns of the counts of one cache: A (demand alone), B's demand accesses, B's pre-fetches.
+#: Columns of the counts of one cache: A (demand alone), B's demand accesses, B's prefetches.
 ALONE, DEMAND, REQUESTS = range(3)
+N_MISSES = 3
 
 
 class Counts(NamedTuple):
@@ -35,7 +36,7 @@ class Counts(NamedTuple):
     Attributes
     ----------
     accesses, prefetches : int
-        Lines touched by demand accesses and by pre-fetch requests.
+        Lines touched by demand accesses and by prefetch requests.
     misses, open_ : (n_caches, 3) int64
         Certain and open misses, by the columns above.
     """
@@ -59,7 +60,7 @@ def check_lru(configs: Sequence[CacheConfig]) -> None:
 
 
 class KnownReplay:
-    """Every cache of some configurations over one stretch of a trace, with pre-fetches (B) and without (A).
+    """Every cache of some configurations over one stretch of a trace, with prefetches (B) and without (A).
 
     Parameters
     ----------
@@ -83,7 +84,7 @@ class KnownReplay:
         n_prefetches = int(np.count_nonzero(labels >= PREFETCH))
         kept, kept_labels = self._filter.accesses(lines, labels)
         demand, demand_labels = demand_only(kept, kept_labels)
-        found = np.zeros((len(self._caches), 3, 2), np.int64)
+        found = np.zeros((len(self._caches), N_MISSES, 2), np.int64)
 
         def one(k: int) -> None:
             n_sets, mask, ways, alone, both = self._caches[k]

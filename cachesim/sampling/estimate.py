@@ -1,4 +1,7 @@
-"""Miss rates of a large picture from part of its rays: a source of units, caches and a target error in, intervals out.
+"""Miss rates of a large picture from part of its rays: a source of sample units, caches and a target error in, intervals out.
+
+A sample unit, or *unit* in this package, is a stretch of rays that is drawn as a whole; it has nothing to do with the paper's
+prefetch unit.
 
 1. The number of accesses is predicted from a few random rays. A run that takes a moment is counted exactly.
 2. A scout of single rays all over the picture says where it changes. Units are sampled in stages, more where it changes more
@@ -9,7 +12,7 @@
 4. A flagged cell, a target that would take most of the run, or too few misses to judge: the whole run is counted exactly, and
    the reason is said.
 
-The accuracy target holds for the miss rates of all caches: demand accesses without pre-fetching (A) and with (B), and the
+The accuracy target holds for the miss rates of all caches: demand accesses without prefetching (A) and with (B), and the
 paper's metric of B. All intervals, those of ratios and totals too, hold at once with 95 %; none of a sampled run is 0 or
 infinite: what has no bound is counted exactly.
 """
@@ -25,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from cachesim.config import CacheConfig
-from cachesim.sampling.cold_start import ALONE, DEMAND, REQUESTS
+from cachesim.sampling.cold_start import ALONE, DEMAND, N_MISSES, REQUESTS
 from cachesim.sampling.strata import Design, Stage, expected, weights
 from cachesim.sampling.two_phase import LIKELY, Interval, Ratio, Sample, value_of
 from cachesim.sampling.two_phase import Estimate as Extrapolated
@@ -52,7 +55,7 @@ _SETTLED = 0.25  # part of the target that open misses may take up before the wa
 #: Part of the mean variance to expect in a stratum whose neighbours are all alike: what is rare may hide there.
 _ANYWHERE = 0.5
 _DECLINE = 1.2  # an error falls with about this power of the number of units: strata grow shorter, neighbours are alike
-#: Pre-fetches per access that a unit may have more than the mean, where none was seen: they come in bursts, where rays run
+#: Prefetches per access that a unit may have more than the mean, where none was seen: they come in bursts, where rays run
 #: along a plane of the tree.
 _BURSTS = 4.0
 _N_COUNTS = 3
@@ -63,6 +66,8 @@ TARGETED = ("demand_miss_rate_without", "demand_miss_rate", "paper_miss_rate")
 QUANTITIES = (
     *TARGETED, "demand_ratio", "paper_ratio", "traffic_ratio", "bytes_from_memory_without", "bytes_from_memory"
 )  # fmt: skip
+#: Quantities of the run. They come before those of the caches.
+OF_THE_RUN = ("accesses_per_ray", "prefetches_per_access")
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,9 +176,14 @@ class Estimated:
         }  # fmt: skip
 
 
+def place_of(cache: int, quantity: str) -> int:
+    """Return the place in ``ratios_of`` of one of the ``QUANTITIES`` of the cache with this number."""
+    return len(OF_THE_RUN) + cache * len(QUANTITIES) + QUANTITIES.index(quantity)
+
+
 def ratios_of(configs: Sequence[CacheConfig]) -> list[Ratio]:
-    """Return the quantities of the run (two) and of every cache (``QUANTITIES``) as ratios of totals."""
-    size = _N_COUNTS + 3 * len(configs)
+    """Return the quantities of the run (``OF_THE_RUN``) and of every cache (``QUANTITIES``) as ratios of totals."""
+    size = _N_COUNTS + N_MISSES * len(configs)
 
     def form(*entries: int, times: float = 1.0) -> np.ndarray:
         vector = np.zeros(size)
@@ -183,7 +193,7 @@ def ratios_of(configs: Sequence[CacheConfig]) -> list[Ratio]:
     demand, everything = form(ACCESSES), form(ACCESSES, PREFETCHES)
     found = [Ratio((demand,), (form(RAYS),)), Ratio((form(PREFETCHES),), (demand,), unlike=_BURSTS)]
     for k, config in enumerate(configs):
-        first = _N_COUNTS + 3 * k
+        first = _N_COUNTS + N_MISSES * k
         alone, with_, both = form(first + ALONE), form(first + DEMAND), form(first + DEMAND, first + REQUESTS)
         found += [
             Ratio((alone,), (demand,)),
@@ -214,7 +224,7 @@ def estimate(
     Parameters
     ----------
     source : UnitSource
-        A run that can be traced from anywhere; its pre-fetches are those of B.
+        A run that can be traced from anywhere; its prefetches are those of B.
     configs : sequence of CacheConfig
         LRU, of one line size.
     seed : int
@@ -267,7 +277,7 @@ class Look:
     flags: list[str]
     hopeless: str
     split: np.ndarray
-    n_accesses: float = 0.0  # of the whole run, pre-fetches included
+    n_accesses: float = 0.0  # of the whole run, prefetches included
 
 
 class Sampler:
@@ -340,11 +350,7 @@ class Sampler:
 
     def _targeted(self) -> list[tuple[CacheConfig, int, str]]:
         """Return (cache, place among the intervals, name) of the quantities with a target."""
-        return [
-            (config, 2 + k * len(QUANTITIES) + QUANTITIES.index(name), name)
-            for k, config in enumerate(self._configs)
-            for name in TARGETED
-        ]
+        return [(config, place_of(k, name), name) for k, config in enumerate(self._configs) for name in TARGETED]
 
     def _second(self, stage: Stage) -> np.ndarray:
         """Return the places of the second sample among the units."""
@@ -370,8 +376,8 @@ class Sampler:
         # Of the open misses as many as the second sample found to be misses.
         share = (sample.settled - sample.certain[second]).sum(axis=0) / np.maximum(sample.open_[second].sum(axis=0), 1)
         seen = sample.certain.sum(axis=0) + share * sample.open_.sum(axis=0)
-        for k, config in enumerate(self._configs):
-            n_seen = int(min(seen[3 * k + ALONE], seen[3 * k + DEMAND]))
+        for config, of_cache in zip(self._configs, seen.reshape(-1, N_MISSES), strict=True):
+            n_seen = int(min(of_cache[ALONE], of_cache[DEMAND]))
             if n_seen < LEAST_MISSES:
                 flags.append(f"{config}: {n_seen} misses in the sample, too few to judge by")
         for config, at, name in self._targeted():
@@ -416,8 +422,8 @@ def _exactly(
 
 def _result(source: UnitSource, configs: Sequence[CacheConfig], intervals: Sequence[Interval], **facts: Any) -> Estimated:
     defined = [None if math.isnan(interval.value) else interval for interval in intervals]
-    cells = []
-    for k, config in enumerate(configs):
-        own = defined[2 + k * len(QUANTITIES) : 2 + (k + 1) * len(QUANTITIES)]
-        cells.append(Cell(config, dict(zip(QUANTITIES, own, strict=True))))
-    return Estimated(source.name, cells=cells, accesses_per_ray=defined[0], prefetches_per_access=defined[1], **facts)
+    cells = [
+        Cell(config, {name: defined[place_of(k, name)] for name in QUANTITIES}) for k, config in enumerate(configs)
+    ]  # fmt: skip
+    per_ray, per_access = defined[: len(OF_THE_RUN)]
+    return Estimated(source.name, cells=cells, accesses_per_ray=per_ray, prefetches_per_access=per_access, **facts)

@@ -35,7 +35,7 @@ class Kept(NamedTuple):
     looked : (k,) int64
         Single positions traced.
     work : (11,) float64
-        Numbers of ``units.Work``.
+        Numbers of ``unit_counts.Work``.
     """
 
     units: np.ndarray

@@ -66,7 +66,7 @@ class HashedDistances:
 def hashed_distances(
     source: Source, line_bytes: int, rate: float, *, seed: int = 0, prefetch: str = "traced"
 ) -> tuple[HashedDistances, HashedDistances]:
-    """Return the distances of a trace with its pre-fetches and of its demand accesses alone (B and A of the paper)."""
+    """Return the distances of a trace with its prefetches and of its demand accesses alone (B and A of the paper)."""
     policy = parse_prefetch(prefetch)
     check_one_pass(policy)
     lines_of = source.lines(line_bytes, 0)

@@ -1,4 +1,4 @@
-"""How far a total of sampled units may be off: what the units of every stratum add -> a variance that no luck makes zero.
+"""How far a total from some sample units may be off: what those of every stratum add -> a variance no luck makes zero.
 
 Two units to a stratum say little about it where a run has steps: both may lie on one side. So a variance has three parts, each
 of which is seen by more than the two:

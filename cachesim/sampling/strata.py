@@ -1,4 +1,4 @@
-"""Which units of a run are sampled: what a scout saw along the run and a seed -> stratified samples, refined where it pays.
+"""Which sample units are drawn: what a scout saw along the run and a seed -> stratified samples, refined where it pays.
 
 Strata are runs of neighbouring units with two sampled units each, so that whatever changes slowly along the run, from the top
 of a picture to its bottom, costs no error, and so that no period of the picture can hide between the samples. At first they

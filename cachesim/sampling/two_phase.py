@@ -1,7 +1,7 @@
-"""Totals of a run from a sample of its units: counts of the sampled units in, ratios with intervals that hold together out.
+"""Totals of a run from some of its sample units: counts of the sampled units in, ratios with intervals that hold together out.
 
 Two phases. Units of a first sample, drawn in strata of neighbouring units, are counted with hardly any warm-up: some misses
-are certain, others open (``known``). A random part of them is counted again with a long warm-up, which settles nearly all
+are certain, others open (``cold_start``). A random part of them is counted again with a long warm-up, which settles nearly all
 that was open. The share of open misses that turn out to be misses is a regression coefficient through the origin, taken from
 the second sample and applied to the first (two-phase regression: Cochran 1977, Sec. 12.6; Saerndal, Swensson and Wretman 1992,
 Ch. 9). What stays open after the long warm-up widens the interval as far as it may go.
@@ -153,7 +153,7 @@ def estimate(sample: Sample, ratios: Sequence[Ratio], *, confidence: float = 0.9
     freedom = drawn - 1
     factor = sizes**2 * (1 - drawn / sizes) / drawn  # 0 for a stratum of which all is known
     of_second = np.sqrt(max(n_units**2 * (1 / m - 1 / n_units), 0.0) / max(m - 1, 1))
-    # Of a value of 0 nobody knows how large it may be elsewhere: 1 is a miss, or a pre-fetch, in every access.
+    # Of a value of 0 nobody knows how large it may be elsewhere: 1 is a miss, or a prefetch, in every access.
     least = np.array([r.unlike * (abs(v) or 1.0) / n_units for r, v in zip(ratios, values, strict=True)])
     opened = np.abs(gradient[:, n_counts:] @ (weight @ sample.open_))
 

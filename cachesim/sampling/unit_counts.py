@@ -1,4 +1,4 @@
-"""The units an estimate samples: a source that traces any stretch of a run -> counts of units, and of the whole run exactly.
+"""The sample units of an estimate: a source that traces any stretch of a run -> counts of units, and of the whole run exactly.
 
 A unit is counted shortly, after a few positions that warm the caches, what this leaves open counted apart; and some are
 counted again after so many positions that the neighbours of its rays were among them. Counts are kept, so a larger sample, or
@@ -21,7 +21,7 @@ from cachesim.layout import addresses
 from cachesim.lines import NodeLines
 from cachesim.prefetch import KIND_PREFETCH, REQUEST
 from cachesim.sampling import resume_file
-from cachesim.sampling.cold_start import Counts, KnownReplay, check_lru
+from cachesim.sampling.cold_start import N_MISSES, Counts, KnownReplay, check_lru
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 
@@ -84,7 +84,7 @@ class UnitSource(Protocol):
         """Return the accesses of the positions from each of ``cuts`` up to the next; they ascend."""
 
     def probe(self, n: int, seed: int) -> float:
-        """Return the mean number of accesses, pre-fetches included, of a position, from ``n`` random ones."""
+        """Return the mean number of accesses, prefetches included, of a position, from ``n`` random ones."""
 
     def scout(self, seed: int) -> tuple[np.ndarray, Sequence[Stretch], np.ndarray]:
         """Return a thin sample spread evenly over the run, in groups: places (g,) ascending, accesses; and positions (k,)."""
@@ -310,7 +310,7 @@ class UnitCounts:
         pieces = []
         for unit, (start, end) in enumerate(zip(self._starts[:-1].tolist(), self._starts[1:].tolist(), strict=True)):
             pieces += [(unit, low, min(low + step, end)) for low in range(start, end, step)]
-        counts, misses = np.zeros((self.n_units, 3)), np.zeros((self.n_units, 3 * len(self._configs)))
+        counts, misses = np.zeros((self.n_units, 3)), np.zeros((self.n_units, N_MISSES * len(self._configs)))
         replay = KnownReplay(self._configs, from_start=True)
         waiting: deque[Future[Any]] = deque()
         with thread_pool(self._threads) as pool:
@@ -339,7 +339,7 @@ class UnitCounts:
     def save(self, path: Path) -> None:
         """Write the counts to a file, whole or not at all."""
         units, long_ = sorted(self._short), sorted(self._long)
-        columns = 3 * len(self._configs)
+        columns = N_MISSES * len(self._configs)
 
         def rows(values: Sequence[np.ndarray], n: int, dtype: type) -> np.ndarray:
             return np.array([value.ravel() for value in values], dtype).reshape(-1, n)
@@ -368,7 +368,7 @@ class UnitCounts:
         if not path.exists():
             return
         found = resume_file.read(path, self._key(), self.n_units, len(self._configs), self.n_positions)
-        shape = len(self._configs), 3
+        shape = len(self._configs), N_MISSES
         for unit, before, counts, certain, open_ in zip(*found[:5], strict=True):
             self._counts[int(unit)], self._before[int(unit)] = counts, int(before)
             self._short[int(unit)] = Counts(int(counts[0]), int(counts[1]), certain.reshape(shape), open_.reshape(shape))

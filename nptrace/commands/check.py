@@ -12,18 +12,18 @@ from nptrace.scene_options import load_scenes, scene_options
 
 @click.command()
 @click.argument("names", metavar="[SCENE]...", nargs=-1)
-@click.option("--hard", is_flag=True, help="Run the catalogue of hard cases, whose answers are exact, through all structures.")
-@click.option("--long", "is_long", is_flag=True, help="With --hard: the long form, some minutes.")
-@click.option("--size", default="256x256", show_default=True, metavar="WxH", help="Pixels of the picture.")
-@click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="Random rays.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the random rays.")
+@click.option("--hard", is_flag=True, help="Run the catalogue of hard cases, with exact answers, through all structures.")
+@click.option("--long", "is_long", is_flag=True, help="With --hard: run the long form, which takes minutes.")
+@click.option("--size", default="256x256", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
+@click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="How many random rays.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the random rays.")
 @scene_options
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def check(
     names: tuple[str, ...], hard: bool, is_long: bool, size: str, n_random: int, seed: int, strict: bool, offline: bool,
     as_json: bool,
 ) -> None:  # fmt: skip
-    """Compare both trees with Embree on camera, shadow and random rays; exit 1 beyond a limit.
+    """Compare both trees with Embree on camera, shadow and random rays; exit with status 1 if a limit is exceeded.
 
     \b
     nptrace check bunny
@@ -58,7 +58,7 @@ def check(
 
 
 def print_checks(rows: list[dict[str, Any]], note: str) -> None:
-    """Print comparisons with Embree and hard cases, each kind as a table of its own."""
+    """Print comparisons with Embree and hard cases, in separate tables."""
     from nptrace_base.tables import Table, number, print_tables
 
     verdict = {True: "ok", False: "BEYOND"}
@@ -75,7 +75,7 @@ def print_checks(rows: list[dict[str, Any]], note: str) -> None:
     ]  # fmt: skip
     tables = []
     if hard:
-        header = ["Hard case", "Structure", "Rays", "Lost", "Invented", "Wrong", "Unlike", "Ambiguous", "t error", "Bound", ""]
+        header = ["Hard case", "Structure", "Rays", "Lost", "Invented", "Wrong", "Differ", "Ambiguous", "t error", "Bound", ""]
         tables.append(Table("", header, hard, n_left=2))
     if embree:
         header = ["Scene", "Tree", "Rays", "Number", "Compared", "Value", "Limit", ""]

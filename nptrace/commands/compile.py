@@ -1,4 +1,4 @@
-"""nptrace compile: every kernel, ahead of its first use."""
+"""nptrace compile: compile every kernel ahead of its first use."""
 
 import click
 
@@ -7,7 +7,7 @@ from nptrace_base import compiling
 
 @click.command(name="compile")
 def compile_() -> None:
-    """Compile everything now, which the first use of each command does otherwise; kept until the program changes."""
+    """Compile all kernels now instead of at the first use of each command; they are kept until the program changes."""
     from nptrace.precompile import compile_all
     from nptrace_base.jit import cache_folder
 

@@ -24,7 +24,7 @@ def estimate_scenes(
     scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", picture: Picture,
     resume: Path | None = None,
 ) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
-    """Hand the renderer of every scene and tree to the estimator; return (tree, scene, result) of each."""
+    """Estimate every scene with every tree; return (tree, scene, result) of each."""
     from cachesim.sampling.estimate import estimate as estimate_source
     from rtrace.ray_source import RayUnits
     from rtrace.trees.tree_cache import cached_tree
@@ -49,24 +49,24 @@ def estimate_scenes(
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
 @click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
 @list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
-@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Ways, e.g. 1,2,full.")
+@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Associativity: numbers of ways, e.g. 1,2,full.")
 @click.option("--line", type=str, default="32", show_default=True, metavar="SIZE", help="Line size in bytes.")
-@click.option("--table1", "is_table1", is_flag=True, help="The four caches of Table I, instead of --size and --assoc.")
+@click.option("--table1", "is_table1", is_flag=True, help="Use the four caches of Table I instead of --size and --assoc.")
 @click.option(
     "--target-error", "error", default="2%,0.05pp", show_default=True, metavar="ERROR",
-    help="Half-width allowed for every miss rate: of its value (2%), in points (0.05pp), or the wider of two.",
+    help="Half-width allowed for every miss rate: relative (2%), in percentage points (0.05pp), or the wider of both.",
 )  # fmt: skip
 @picture_options
-@output_option("--resume", help="File that keeps the counts; continued if there.")
+@output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def estimate(
     names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
     resume: Path | None, as_json: bool, strict: bool, offline: bool, camera: str | None, light: str | None, **picture: Any,
 ) -> None:  # fmt: skip
-    """Estimate the miss rates of a picture from as few of its rays as a target error takes.
+    """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.
 
-    A SCENE is a mesh file or a name that `nptrace scenes` lists. It is rendered as `nptrace render` does with the same
-    options, but only where the sample needs it, and nothing is written.
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. The picture is the one that `nptrace render` traces with
+    the same options, but only the sampled part is traced, and no run is written.
 
     \b
     npcache estimate sponza --table1

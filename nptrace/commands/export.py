@@ -9,16 +9,16 @@ from nptrace.output import output_option
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--to", "form", type=click.Choice(["din"]), default="din", show_default=True, help="DineroIV's input format.")
-@click.option("--binary", is_flag=True, help="DineroIV's binary records instead of text.")
+@click.option("--to", "form", type=click.Choice(["din"]), default="din", show_default=True, help="Format: DineroIV's traces.")
+@click.option("--binary", is_flag=True, help="Write DineroIV's binary records instead of text.")
 @click.option(
     "--prefetch",
     type=click.Choice(["b", "read", "misc", "omit"]),
     default="b",
     show_default=True,
-    help="Label of the pre-fetch requests: b, as reads (0), as misc (3), or leave them out.",
+    help="Access type of the prefetch requests: b, read (0) or misc (3); omit leaves them out.",
 )
-@output_option("-o", "--output", help="File, - for stdout; RUN.din by default.")
+@output_option("-o", "--output", help="Output file, - for stdout; by default RUN.din.")
 def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
     """Write a run as a trace that DineroIV itself replays.
 

@@ -15,24 +15,24 @@ from nptrace.scene_options import check_run_names, load_scenes, scene_options, t
 @click.command()
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
 @click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
-@click.option("--size", default="128x128", show_default=True, metavar="WxH", help="Pixels of the picture.")
-@click.option("--camera", metavar="TEXT", help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; else the scene's own or a fitted one.")
-@click.option("--light", metavar="X,Y,Z", help="Place of the point light; else the scene's own or a fitted one.")
+@click.option("--size", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
+@click.option("--camera", metavar="TEXT", help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; by default the scene's or a fitted one.")
+@click.option("--light", metavar="X,Y,Z", help="Position of the point light; by default the scene's or a fitted one.")
 @click.option(
     "--order",
     type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]),
     default="scanline",
     show_default=True,
-    help="Order in which the pixels are shot.",
+    help="Order in which the pixels are traced.",
 )
 @click.option(
     "--batch",
     type=click.IntRange(0),
     default=1,
     show_default=True,
-    help="Primary rays shot before their shadow rays; 0: all of them.",
+    help="Primary rays traced before their shadow rays; 0 means all of them.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the random order.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the random order.")
 @click.option(
     "--kd",
     "kd_text",
@@ -51,7 +51,7 @@ from nptrace.scene_options import check_run_names, load_scenes, scene_options, t
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
 @click.option(
     "--name", "run_names", multiple=True, metavar="NAME",
-    help="Name of the run, before -kdtree or -bvh, in place of the scene's; once per SCENE.",
+    help="Name of the run, before -kdtree or -bvh, instead of the scene's name; once per SCENE.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a run of another scene, picture or tree that has the same name.")
 @threads_option()
@@ -64,8 +64,8 @@ def render(
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
-    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>; the same run made again
-    replaces itself, another one of its name is kept unless --overwrite is given.
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>. The same command
+    replaces its run; another run of that name is kept unless you give --overwrite.
 
     \b
     nptrace render bunny
@@ -100,7 +100,7 @@ def render(
     from nptrace_base.tables import Table, number, percent, print_tables
     from traces.format import printable
 
-    header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Pre-fetches"]
+    header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Prefetches"]
     rows = [
         [
             printable(run.path), number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),

@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 @click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
-@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Ways, e.g. 1,2,full.")
+@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Associativity: numbers of ways, e.g. 1,2,full.")
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
 @list_option(
-    "--policy", item=str.lower, metavar="POLICIES", default="lru", help="lru, fifo, random; opt: no other has fewer misses."
+    "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo, random, opt (Belady)."
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the random policy.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
-@click.option("--report", type=click.Choice(["table", "dinero", "json", "csv"]), show_default="table")
+@click.option("--report", type=click.Choice(["table", "dinero", "json", "csv"]), show_default="table", help="Output format.")
 @click.option("--json", "as_json", is_flag=True, help="The same as --report json.")
 def replay(
     sources: tuple[Path, ...], folder: Path, size: list[int], assoc: list[str], line: list[int], policy: list[str], seed: int,
@@ -65,7 +65,7 @@ def replay(
 
 
 def print_results(results: "list[Result]", report: str) -> None:
-    """Print results in the form asked for."""
+    """Print results in the chosen format."""
     from cachesim.report import replay_tables as reports
     from nptrace_base.tables import print_tables
 

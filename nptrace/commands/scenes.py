@@ -1,4 +1,4 @@
-"""nptrace scenes: what scenes are known by name, and where each is found."""
+"""nptrace scenes: the scenes known by name, and where each is found."""
 
 import json
 import sys
@@ -9,7 +9,7 @@ import click
 @click.command()
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def scenes(as_json: bool) -> None:
-    """List the scenes known by name: their size, licence, and where they are found."""
+    """List the scenes known by name: size, where each is found, and licence."""
     from rtrace.scenes.catalog import list_scenes
 
     rows = list_scenes()

@@ -16,19 +16,19 @@ from nptrace.sources import default_sources, traces_option
 @click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @list_option("--size", item=str, metavar="SIZES", default="4K..64K", help="Cache sizes and ranges, e.g. 4K..64K,96K.")
-@list_option("--ways", "--assoc", item=str, metavar="WAYS", default="1..16", help="Ways and ranges, e.g. 1..16,full.")
+@list_option("--ways", "--assoc", item=str, metavar="WAYS", default="1..16", help="Associativity, with ranges, e.g. 1..16.")
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
-@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help="none, traced, stack[:...], as in replay.")
-@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help="Where nodes lie, as in replay.")
+@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help="Prefetch policy: none, traced, stack[:...].")
+@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help="Node layout, as in npcache replay.")
 @threads_option()
-@output_option("-o", "--output", help="A .parquet or .csv file; - is CSV on stdout.")
-@output_option("--plot", "picture", help="A .png, .svg or .pdf file.")
+@output_option("-o", "--output", help="Write a .parquet or .csv file; - writes CSV to stdout.")
+@output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of CSV.")
 def sweep(
     sources: tuple[Path, ...], folder: Path, size: list[str], ways: list[str], line: list[int], prefetch: list[str],
     layout: list[str], threads: int, output: Path | None, picture: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Count the misses of every LRU cache in ranges of sizes, ways and lines, exactly, in one pass over each trace.
+    """Count the misses of every LRU cache in ranges of size, associativity and line, exactly, in one pass over each trace.
 
     A cache is in the sweep if its size lies in a range and its number of sets is a power of two.
 
@@ -44,7 +44,7 @@ def sweep(
     all_ways = list(dict.fromkeys(way for text in ways for way in parse_ways_range(text)))
     for path, endings in ((output, sweep_output.TABLES), (picture, sweep_output.PICTURES)):
         if path is not None:
-            sweep_output.ending_of(path, endings)  # or it is known only when all is counted
+            sweep_output.ending_of(path, endings)  # refused now, not after counting
     configs = grid([parse_range(text) for text in size], all_ways, line)
     rows: list[sweeping.Row] = []
     for path in sources or default_sources(folder):

@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 @traces_option()
 @click.option(
     "--target-error", "error", metavar="ERROR",
-    help="Estimate it for large pictures instead, from no runs: 2%, 0.05pp or 2%,0.05pp, as in npcache estimate.",
+    help="Estimate the table for large pictures, without runs: 2%, 0.05pp or 2%,0.05pp, as in npcache estimate.",
 )  # fmt: skip
 @click.option(
     "--pixels", default="2048x2048", show_default=True, metavar="WxH", help="With --target-error: size of the picture."
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: of the sample.")
-@click.option("--format", "form", type=click.Choice(FORMATS), show_default=FORMATS[0])
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: seed of the sample.")
+@click.option("--format", "form", type=click.Choice(FORMATS), show_default=FORMATS[0], help="Output format.")
 @click.option("--json", "as_json", is_flag=True, help="The same as --format json.")
 @output_option("-o", "--output", help="Write to a file instead of stdout.")
 def table1(
     folder: Path, error: str | None, pixels: str, seed: int, form: str | None, as_json: bool, output: Path | None
 ) -> None:  # fmt: skip
-    """Print Table I of the paper beside ours, for the runs there are, or estimated for large pictures.
+    """Print Table I of the paper beside ours, from existing runs or estimated for large pictures.
 
     \b
     npcache table1
@@ -74,7 +74,7 @@ def estimated_table1(error: str, pixels: str, seed: int, form: str, output: Path
 
     target = parse_target(error)
     if form == "csv":
-        raise BadInput("--format csv has no place for half-widths; with --target-error write json, table, markdown or latex")
+        raise BadInput("--format csv cannot hold half-widths; with --target-error choose json, table, markdown or latex")
     scenes = load_scenes(SCENES, strict=False, offline=False)
     found = estimate_scenes(scenes, tuple(TREES), caches(), target, Picture(pixels=pixels, seed=seed))
     ordered = [(tree, scene.name, result) for tree in TREES for kind, scene, result in found if kind == tree]

@@ -1,7 +1,7 @@
-"""Our trees against Embree, and against each other: rays -> a table of differences, each with its limit.
+"""Our trees compared with Embree and with each other: rays -> a table of differences, each with its limit.
 
-Embree is the oracle for camera, shadow and random rays only: it leaks at vertices and answers differently on rays that lie
-in planes, where brute force with our triangle test is the truth (docs/correctness.md). Its float32 arithmetic decides how
+Embree is a reference for camera, shadow and random rays only: it leaks at vertices and answers differently on rays that lie
+in planes, where brute force with our triangle test is the reference (docs/correctness.md). Its float32 arithmetic decides how
 close the distances can be: they are compared in units of kappa, the error that rounding the inputs to float32 explains.
 """
 
@@ -9,19 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.scenes.scene import Scene
+from rtrace.shading import shadow_rays
 from rtrace.traverse import Hits, Rays, make_rays, trace
 from rtrace.trees.tree import Tree
 
 #: Share of the rays whose hit/miss answer, and whose triangle at unequal t, may differ from Embree's. Measured on 2 million
-#: rays: none and 3e-6 (feasibility study); a ray within float32 rounding of an edge may go either way.
+#: rays: none and 3e-6 (feasibility study); a ray within float32 rounding of an edge may hit or miss.
 HIT_LIMIT, PRIM_LIMIT = 1e-5, 5e-5
 #: Largest |dt| in units of kappa; the largest measured was 84.
 KAPPA_LIMIT = 128.0
 #: Largest |dt|/t: 4e-3 was measured, on a hit at a grazing angle close to its origin.
 T_LIMIT = 1e-2
-#: Two hits at the same distance, up to this share: coincident or adjacent triangles, of which either may be named.
+#: Two hits at the same distance, up to this share: coincident or adjacent triangles, either of which may be reported.
 SAME_T = 1e-4
 
 
@@ -106,7 +107,7 @@ def _allowed(share: float, n: int) -> float:
 
 def _occlusion_rows(embree, rays: Rays, hits: Hits) -> list[tuple[str, float, float]]:
     n = len(rays.t_max)
-    # embreex writes into the array of distances: it gets a copy of its own.
+    # embreex writes into the array of distances, so it gets a copy.
     occluded = embree.run(rays.origin, rays.direction, dists=rays.t_max.astype(np.float32), query="OCCLUDED") == 0
     return [("hit/miss differences", float(((hits.prim >= 0) != occluded).sum()), _allowed(HIT_LIMIT, n))]
 

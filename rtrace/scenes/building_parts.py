@@ -1,4 +1,4 @@
-"""What stone buildings are put together from: columns, arcades, walls with windows, vaults; as triangles, y up, in metres.
+"""Parts of stone buildings: columns, arcades, walls with windows, vaults; as triangles, y up, in metres.
 
 ``steps`` everywhere turns a number of steps along a curve, at full detail, into the number wanted.
 """

@@ -1,7 +1,7 @@
-"""The benchmark scenes by name: where each is found, how it is recognised, and the camera and light it is seen with.
+"""The benchmark scenes by name: where each is found, how it is recognised, and its camera and light.
 
-A scene is taken from the folder $NPTRACE_SCENES, else from the user's cache, else downloaded, else a built-in stand-in takes
-its place. None of the four comes with this program: their licences are their authors'.
+A scene comes from the folder $NPTRACE_SCENES, otherwise from the user's cache or a download; otherwise a built-in stand-in
+takes its place. None of the four comes with this program: their licences are their authors'.
 
 A downloaded archive is believed if its sha256 is one that was recorded, or if the mesh in it has exactly the triangles by
 which the scene is known. Nothing half-done stays: the archive lives in a temporary folder, a cached file appears whole.
@@ -43,9 +43,9 @@ class Entry:
     name, title : str
     n_triangles : int
     sha256 : str
-        Of the triangles, as ``Scene.sha256``: whatever file it comes from, this is the scene.
+        Of the triangles, as ``Scene.sha256``: it identifies the scene, whatever file it comes from.
     bounds : (2, 3) floats
-        The camera is used for a mesh that fills about this box; another one gets a camera fitted to it.
+        A mesh that fills about this box gets the catalogue's camera; any other gets a fitted one.
     camera, light : Camera and 3 floats
     camera_from : str
         Who published the camera.
@@ -53,9 +53,9 @@ class Entry:
     stand_in : str
         Name of the built-in scene that takes its place.
     url, member : str or None
-        An archive and the mesh in it; None for what is nowhere to be downloaded.
+        An archive and the mesh in it; None for a scene that cannot be downloaded.
     archives : tuple of str
-        sha256 of archives known to be what the authors serve, whatever triangles are in them.
+        sha256 of archives known to come from the authors, whatever their triangles.
     """
 
     name: str
@@ -192,7 +192,7 @@ class SceneRow(NamedTuple):
 
 
 def list_scenes(cache: Path | None = None) -> list[SceneRow]:
-    """Return what is known of each benchmark scene and where it is; reads no mesh and downloads nothing."""
+    """Return each benchmark scene and where it is found; reads no mesh and downloads nothing."""
     rows = []
     for e in CATALOG.values():
         where = _in_folder(e) or _cached_file(e, cache or cache_folder()) or ""
@@ -205,7 +205,7 @@ def load_scene(
 ) -> Scene:
     """Return the scene called ``name``: a benchmark scene, a built-in stand-in (blob, room, nave, court), or a mesh file.
 
-    A file that has the name of a scene is reached as ./name. Options as for ``find_scene`` and ``load_mesh``; SceneError.
+    Write ./name for a file with the name of a scene. Options as for ``find_scene`` and ``load_mesh``; SceneError.
     """
     if name in CATALOG:
         return find_scene(name, strict=strict, download=download, notify=notify, cache=cache)
@@ -236,21 +236,21 @@ def find_scene(
     name : str
         One of ``CATALOG``.
     notify : callable
-        Called with each sentence a user should see: the licence before a download, and why a scene was not to be had.
+        Called with each sentence a user should see: the licence before a download, and why a scene is missing.
     cache : Path, optional
         Folder in place of the user's cache.
     base_url : str, optional
-        Server to ask in place of the authors', with the same paths.
+        Server to use instead of the authors', with the same paths.
 
     Raises
     ------
     SceneError
-        A file in $NPTRACE_SCENES that cannot be used. Trouble with the cache or a download never stops a run.
+        A file in $NPTRACE_SCENES cannot be used. A failing cache or download never stops a run.
     """
     entry = CATALOG[name]
     folder = os.environ.get("NPTRACE_SCENES")
     if folder and not Path(folder).is_dir():
-        notify(f"NPTRACE_SCENES is {folder!r}, which is no folder; looking elsewhere for {name}")
+        notify(f"NPTRACE_SCENES is {folder!r}, which is not a folder; looking elsewhere for {name}")
     own = _in_folder(entry)
     if own is not None:
         if own.suffix.lower() in READERS:
@@ -264,7 +264,9 @@ def find_scene(
         cached = _download(entry, cache, notify, base_url)
     if cached is not None:
         return _present(entry, cached, "the downloaded mesh", notify)
-    notify(f"{name} was not found: the built-in {entry.stand_in!r} stands in, its numbers are not those of {entry.title}")
+    notify(
+        f"{name} was not found; the built-in {entry.stand_in!r} takes its place; its numbers are not those of {entry.title}"
+    )
     return stand_in(entry.stand_in)._replace(name=name, source=name, stand_in=True)
 
 
@@ -346,8 +348,8 @@ def _present(entry: Entry, scene: Scene, where: str, notify: Notify) -> Scene:
     notes = scene.notes
     if scene.sha256 != entry.sha256:
         notes += (
-            f"{where} is not the known {entry.title} ({len(scene.triangles):,} triangles for {entry.n_triangles:,}, "
-            "or other coordinates); results are not comparable with those of others",
+            f"{where} differs from the known {entry.title} ({len(scene.triangles):,} triangles, not {entry.n_triangles:,}, "
+            "or other coordinates); results are not comparable with published ones",
         )
     scene = scene._replace(name=entry.name, source=entry.name, notes=notes)
     bounds = np.array(entry.bounds)

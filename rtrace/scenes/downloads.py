@@ -10,9 +10,9 @@ from urllib.parse import urlsplit
 from rtrace.scenes.mesh_file import SceneError
 
 TIMEOUT = 10  # seconds without an answer; a study must not hang because a server does
-MAX_MEMBER_BYTES = 1 << 30  # the largest mesh is 27 MB; a longer member is not what was asked for
+MAX_MEMBER_BYTES = 1 << 30  # the largest mesh is 27 MB; a longer member is not the mesh
 
-#: What opening an archive raises: cut off, damaged, encrypted, of an unknown method.
+#: Errors of opening an archive: truncated, damaged, encrypted, of an unknown method.
 _BAD_ARCHIVE = (OSError, EOFError, RuntimeError, NotImplementedError, tarfile.TarError, zipfile.BadZipFile, zlib.error)
 
 # Some servers refuse Python's default agent.
@@ -27,7 +27,7 @@ def download(url: str, member: str, folder: Path) -> tuple[Path, str]:
     import pooch
     import requests
 
-    pooch.get_logger().setLevel("ERROR")  # it would tell the user what was just told
+    pooch.get_logger().setLevel("ERROR")  # it would repeat the notice
     downloader = pooch.HTTPDownloader(headers=_HEADERS, timeout=TIMEOUT)
     try:
         name = Path(urlsplit(url).path).name
@@ -46,7 +46,7 @@ def unpack(archive: Path, member: str, folder: Path) -> Path:
 
 
 def _extract(archive: Path, member: str, folder: Path) -> Path:
-    """Copy the one member that is wanted to ``folder``, under a name of our own; archive paths are never used."""
+    """Copy the wanted member to ``folder`` under a fixed name; archive paths are never used."""
     target = folder / f"mesh{Path(member).suffix}"
     wanted = Path(member).name
     if archive.name.endswith(".zip"):

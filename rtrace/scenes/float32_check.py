@@ -1,4 +1,4 @@
-"""Triangles -> whether float32 vertices carry them: how many float32 steps long their edges are.
+"""Triangles -> whether float32 vertices resolve them: the lengths of their edges in float32 steps.
 
 A coordinate of size x is a multiple of its step, 2^-23 of the power of two below x, so rounding to float32 moves it by at most
 half a step. Each component of an edge then moves by at most one step of the triangle's largest coordinate, and the edge by
@@ -6,7 +6,7 @@ sqrt(3) steps: an edge of n steps keeps its length and direction to sqrt(3) / n.
 origin over the shortest edge, not the unit of length: multiplying a scene by a power of two changes no count of steps, as
 long as nothing falls below float32's smallest normal number.
 
-All arithmetic on the vertices is in float64 (docs/correctness.md), so nothing else is lost.
+All arithmetic on the vertices is in float64 (docs/correctness.md), so nothing else loses precision.
 """
 
 import math
@@ -16,12 +16,12 @@ import numpy as np
 
 #: Steps an edge must be long. At 8, sqrt(3) / 8, more than a fifth of an edge, may be rounding: no scene to measure on.
 LEAST_STEPS = 8.0
-_TOLERATED = 1e-3  # share of the triangles whose edges may be shorter before a user is told: any large mesh has a sliver
-_FAR = 1e4  # distances from the origin, in widths of the scene, from which the steps are said
+_TOLERATED = 1e-3  # share of the triangles that may have shorter edges without a warning: any large mesh has a sliver
+_FAR = 1e4  # distances from the origin, in widths of the scene, from which a message gives the steps
 
 
 class Precision(NamedTuple):
-    """What float32 makes of some triangles. Edges without length are left out: they were none before.
+    """How float32 resolves some triangles. Edges of length 0 before rounding are left out.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Precision(NamedTuple):
     n_beyond : int
         Triangles with an edge of fewer than ``LEAST_STEPS``.
     n_collapsed : int
-        Triangles with an edge that has no length after rounding, and had one before.
+        Triangles with an edge that rounding shortens to 0.
     """
 
     n_triangles: int
@@ -48,7 +48,7 @@ class Precision(NamedTuple):
 
     @property
     def bound(self) -> float:
-        """By how much of its length rounding may have changed an edge: the least sharp one."""
+        """The part of its length by which rounding may have changed the least precise edge."""
         return math.sqrt(3.0) / self.least_steps if self.least_steps else math.inf
 
 
@@ -77,7 +77,7 @@ def measure(triangles: np.ndarray) -> Precision:
 
 
 def choice(precision: Precision) -> str:
-    """Return the sentence that says what is computed with, and what that leaves of the scene."""
+    """Return the sentence that states the precision and its effect on the scene."""
     if math.isinf(precision.least_steps):
         return "float32 vertices, float64 arithmetic: no edge has a length"
     return (
@@ -87,7 +87,7 @@ def choice(precision: Precision) -> str:
 
 
 def notes(precision: Precision) -> tuple[str, ...]:
-    """Return what a user must know when float32 does not carry the scene."""
+    """Return the warning for a scene that float32 does not resolve."""
     found = []
     if precision.extent and precision.reach > _FAR * precision.extent:
         found.append(
@@ -95,11 +95,11 @@ def notes(precision: Precision) -> tuple[str, ...]:
             f"{precision.step:g}"
         )
     if precision.n_beyond > _TOLERATED * precision.n_triangles:
-        lost = f", {precision.n_collapsed:,} of them lost a whole edge" if precision.n_collapsed else ""
+        lost = f", {precision.n_collapsed:,} of them have an edge of length 0 after rounding" if precision.n_collapsed else ""
         found.append(
             f"{precision.n_beyond:,} of {precision.n_triangles:,} triangles have an edge of less than {LEAST_STEPS:.0f} steps "
-            f"of float32 (the shortest: {_short(precision.least_steps)}){lost}, so their shape may be rounding; move the "
-            "scene to the origin, or leave out what is so small"
+            f"of float32 (the shortest: {_short(precision.least_steps)}){lost}, so rounding may have changed their shape; "
+            "move the scene to the origin, or remove such small triangles"
         )
     return tuple(found)
 
@@ -112,8 +112,8 @@ def power_of_two(triangles: np.ndarray) -> int:
 def normalised(triangles: np.ndarray) -> tuple[np.ndarray, int]:
     """Return float32 triangles times 2^-k, and the k of ``power_of_two``.
 
-    Exact: only exponents change. Not so for coordinates that are smaller than 2^-125 of the largest, which lose bits, but then
-    these are nothing beside it.
+    Exact: only exponents change. Except for coordinates below 2^-125 of the largest, which lose bits but
+    are negligible beside it.
     """
     k = power_of_two(triangles)
     return np.ldexp(np.asarray(triangles, np.float32), -k), k

@@ -1,7 +1,7 @@
-"""A mesh file -> vertices and triangles exactly as the file has them: order kept, nothing merged, repaired or left out.
+"""A mesh file -> vertices and triangles exactly as the file has them: in order, nothing merged, repaired or left out.
 
-The readers are our own, because no other returns what these files have: trimesh, meshio, plyfile and numpy-stl each read a
-small part of the corpus in tests/rtrace/scenes/test_mesh_corpus.py right. mapbox-earcut cuts the ears of polygons.
+The readers are ours because no other returns exactly what these files hold: `python -m tests.bench.mesh_readers` counts how
+many files of the corpus each of the usual ones reads right (docs/correctness.md). mapbox-earcut cuts the ears of polygons.
 """
 
 import io
@@ -24,10 +24,10 @@ from rtrace.scenes.meshes.stl import read_stl
 
 
 class SceneError(NptraceError):
-    """A mesh or scene that cannot be read or rendered; the message has what is wrong and the way out."""
+    """A mesh or scene that cannot be read or rendered; the message states the problem and the way out."""
 
 
-#: How each kind of file is read, by suffix; gzip (.obj.gz) is told by content.
+#: How each kind of file is read, by suffix; gzip (.obj.gz) is detected by content.
 READERS: dict[str, Callable[[bytes, Path], RawMesh]] = {
     ".obj": read_obj,
     ".ply": read_ply,
@@ -39,9 +39,9 @@ READERS: dict[str, Callable[[bytes, Path], RawMesh]] = {
 MAX_UNPACKED_BYTES = 1 << 32
 _PACKED = {
     b"PK\3\4": "a zip archive",
-    b"\x28\xb5\x2f\xfd": "packed by zstd",
-    b"BZh": "packed by bzip2",
-    b"\xfd7zXZ": "packed by xz",
+    b"\x28\xb5\x2f\xfd": "compressed by zstd",
+    b"BZh": "compressed by bzip2",
+    b"\xfd7zXZ": "compressed by xz",
 }
 
 
@@ -55,7 +55,7 @@ class Mesh(NamedTuple):
     faces : (n_faces, 3) int64
         Vertex numbers from 0; may be negative or too large.
     notes : tuple of str
-        What was read otherwise than the file's author may think; clauses about the file.
+        How the file was read where its author may expect otherwise; clauses about the file.
     """
 
     vertices: np.ndarray
@@ -66,7 +66,7 @@ class Mesh(NamedTuple):
 def read_mesh(path: Path, *, fans: bool = False) -> Mesh:
     """Read a mesh file of one of the kinds in ``READERS``, chosen by its suffix. Raises SceneError.
 
-    With ``fans`` every polygon becomes a fan of triangles, also where that covers a notch of it.
+    With ``fans`` every polygon becomes a fan of triangles, even one whose fan covers a notch.
     """
     suffix = Path(path.stem).suffix if path.suffix.lower() == ".gz" else path.suffix
     reader = READERS.get(suffix.lower())
@@ -78,7 +78,7 @@ def read_mesh(path: Path, *, fans: bool = False) -> Mesh:
         raise SceneError(f"{path}: no such file; check the spelling") from None
     except (OSError, ValueError) as error:  # a folder, no permission, a NUL in the name
         reason = getattr(error, "strerror", None) or error
-        raise SceneError(f"{path}: cannot be read ({reason}); name a file that you may read") from None
+        raise SceneError(f"{path}: cannot be read ({reason}); name a readable file") from None
     kind = suffix[1:].upper()
     try:
         data = _unpacked(data)
@@ -89,12 +89,12 @@ def read_mesh(path: Path, *, fans: bool = False) -> Mesh:
     except MeshError as error:
         raise SceneError(f"{path}: cannot be read as {kind}: {error}; {error.way_out}") from error
     if not faces.size:
-        raise SceneError(f"{path}: there is no triangle or polygon in this {kind} file; export a surface, not points or lines")
+        raise SceneError(f"{path}: this {kind} file has no triangle or polygon; export a surface, not points or lines")
     return Mesh(mesh.vertices, faces, mesh.notes + notes)
 
 
 def _unpacked(data: bytes) -> bytes:
-    """Return what is in a gzip file, or the data if it is none; other packing is named."""
+    """Return the content of a gzip file, or other data unchanged; MeshError names another compression."""
     for mark, what in _PACKED.items():
         if data.startswith(mark):
             raise MeshError(f"it is {what}", "unpack it")
@@ -104,7 +104,7 @@ def _unpacked(data: bytes) -> bytes:
         with GzipFile(fileobj=io.BytesIO(data)) as packed:
             data = packed.read(MAX_UNPACKED_BYTES + 1)
     except (BadGzipFile, EOFError, zlib.error) as error:
-        raise MeshError(f"it is a damaged or cut off gzip file ({error})", "pack it again") from None
+        raise MeshError(f"it is a damaged or truncated gzip file ({error})", "pack it again") from None
     if len(data) > MAX_UNPACKED_BYTES:
-        raise MeshError(f"it unpacks to more than {MAX_UNPACKED_BYTES:,} bytes", "unpack it")
+        raise MeshError(f"it decompresses to more than {MAX_UNPACKED_BYTES:,} bytes", "unpack it")
     return data

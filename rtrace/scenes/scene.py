@@ -1,4 +1,4 @@
-"""What is rendered: mesh file or triangles -> Scene, checked, with a camera and a light."""
+"""Scenes: mesh file or triangles -> Scene, checked, with a camera and a light."""
 
 import hashlib
 import re
@@ -13,7 +13,7 @@ from rtrace.scenes.float32_check import notes as float32_notes
 from rtrace.scenes.mesh_file import SceneError as SceneError
 from rtrace.scenes.mesh_file import read_mesh
 
-_N_FIRST = 5  # so many numbers of dropped triangles are named
+_N_FIRST = 5  # a message names this many dropped triangles
 
 
 class Dropped(NamedTuple):
@@ -25,31 +25,31 @@ class Dropped(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """Triangles with a camera and a light; nothing here changes after it was made.
+    """Triangles with a camera and a light; immutable.
 
     Attributes
     ----------
     name : str
-        Fit for a file name; ``label`` is the form to print.
+        Usable as a file name; ``label`` is the form to print.
     triangles : (n, 3, 3) float32
         C-contiguous, all finite, n >= 1, in the order of the file.
     bounds : (2, 3) float32
         Lower and upper corner of the box of all triangles.
     camera : Camera
     light : 3 floats
-        Place of the point light.
+        Position of the point light.
     source : str
-        The file, or where else the triangles come from.
+        The file, or another origin of the triangles.
     sha256 : str
         Of the bytes of ``triangles``, little-endian.
     dropped : tuple of Dropped
-        Triangles of the file that are not here.
+        Triangles of the file that were left out.
     stand_in : bool
-        Made up here, in place of a scene that was not found.
+        Built in, in place of a scene that was not found.
     notes : tuple of str
-        What a reader of the results should know; one sentence each.
+        Notes for a reader of the results; one sentence each.
     precision : Precision
-        Whether float32 carries the scene, as it was before its vertices were rounded.
+        Whether float32 resolves the scene, measured before its vertices were rounded.
     """
 
     name: str
@@ -66,16 +66,16 @@ class Scene(NamedTuple):
 
     @property
     def label(self) -> str:
-        """The name as it is printed beside results."""
+        """The name as printed beside results."""
         return f"{self.name} (stand-in)" if self.stand_in else self.name
 
 
 def load_mesh(path: str | Path, *, strict: bool = False, fans: bool = False) -> Scene:
     """Return the scene in a mesh file (OBJ, PLY, STL, GLB, glTF, OFF) with a camera and a light fitted to it, +y up.
 
-    All objects of the file are merged, each moved to its place; materials, textures and normals are not read. Convex polygons
+    All objects of the file are merged, each in its place; materials, textures and normals are not read. Convex polygons
     become fans of triangles, and so do all others with ``fans``; without it they are cut so that no notch is covered. Vertices
-    that no triangle uses play no part.
+    that no triangle uses are ignored.
 
     Triangles with NaN or infinite vertices (also those that float32 cannot hold) and with vertex numbers out of range are
     dropped and counted in ``Scene.dropped``. SceneError if nothing is left, if any is dropped and ``strict``, or if the file
@@ -106,7 +106,7 @@ def scene_from_triangles(
     stand_in: bool = False,
     notes: tuple[str, ...] = (),
 ) -> Scene:
-    """Return a scene of ``triangles``, (n, 3, 3) of any float type, without those that are no triangles.
+    """Return a scene of ``triangles``, (n, 3, 3) of any float type, without those that are invalid.
 
     ``stray``, (n,) bool, marks triangles whose vertex numbers were out of range. A camera and a light are fitted if None.
     Raises SceneError as ``load_mesh`` does.
@@ -115,7 +115,7 @@ def scene_from_triangles(
     with np.errstate(over="ignore", invalid="ignore"):
         triangles = np.ascontiguousarray(given, np.float32)
     if triangles.ndim != 3 or triangles.shape[1:] != (3, 3):
-        raise SceneError(f"{source}: triangles have the shape {triangles.shape}, must be (n, 3, 3)")
+        raise SceneError(f"{source}: triangles have the shape {triangles.shape} but must have (n, 3, 3)")
     n = len(triangles)
     if stray is None:
         stray = np.zeros(n, bool)
@@ -127,7 +127,7 @@ def scene_from_triangles(
         triangles, given = triangles[~(endless | stray)], given[~(endless | stray)]
     if not len(triangles):
         what = _dropped_text(source, dropped, n) if dropped else f"{source}: no triangle"
-        raise SceneError(f"{what}; nothing is left to render, repair the mesh")
+        raise SceneError(f"{what}; nothing is left to render; repair the mesh")
     carried = measure(given)
     bounds = np.stack([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))])
     camera = camera or fit_camera(bounds)
@@ -145,7 +145,7 @@ def seen_from(scene: Scene, camera: Camera | None, light: Point | None) -> Scene
 
 
 def dropped_sentence(scene: Scene) -> str | None:
-    """Return what a user is told about dropped triangles, or None if there are none."""
+    """Return the sentence about dropped triangles, or None if there are none."""
     if not scene.dropped:
         return None
     n_all = len(scene.triangles) + sum(d.n for d in scene.dropped)

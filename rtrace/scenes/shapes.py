@@ -11,7 +11,7 @@ import numpy as np
 def solid(*parts: np.ndarray) -> np.ndarray:
     """Return all parts as one (n, 3, 3) float32 array, coordinates rounded to 1e-5, without triangles shrunk to a line."""
     triangles = np.concatenate([np.asarray(part, np.float64).reshape(-1, 3, 3) for part in parts])
-    # The last bit of a sine differs from machine to machine; after this rounding it does not show.
+    # The last bit of a sine differs between machines; this rounding hides it.
     triangles = np.round(triangles, 5).astype(np.float32) + np.float32(0.0)  # -0 becomes 0
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     flat = (a == b).all(axis=1) | (b == c).all(axis=1) | (c == a).all(axis=1)
@@ -176,7 +176,7 @@ def boxes(n: int = 3) -> np.ndarray:
 
 def soup(n: int, seed: int) -> np.ndarray:
     """Return (n, 3, 3) float32, the same for the same seed: centres anywhere in a unit cube, edges from 0.6 to 0.005 long."""
-    bits = np.random.PCG64(seed).random_raw(12 * n)  # unlike a Generator's methods, never to change
+    bits = np.random.PCG64(seed).random_raw(12 * n)  # unlike a Generator's methods, these never change
     numbers = (bits >> np.uint64(11)).astype(np.float64).reshape(n, 12) * 2.0**-53
     size = 0.3 * 4.0 ** -np.floor(4 * numbers[:, :1])
     corners = numbers[:, 1:4].repeat(3, axis=0).reshape(n, 9) + size * (2 * numbers[:, 3:] - 1)

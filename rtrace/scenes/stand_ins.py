@@ -1,7 +1,7 @@
-"""Built-in scenes of the same kind and size as the benchmark scenes, for where those cannot be had; and small test shapes.
+"""Built-in scenes of the same kind and size as the benchmark scenes, for when those cannot be found; and small test shapes.
 
 A name -> a Scene: ``blob`` for the bunny, ``room`` for the conference room, ``nave`` for the cathedral, ``court`` for the
-atrium. No chance and no file is involved: the same name gives the same triangles, bit for bit.
+atrium. They use no random numbers and no files: the same name gives the same triangles, bit for bit.
 """
 
 import math
@@ -41,7 +41,7 @@ class StandIn(NamedTuple):
 
     title: str
     build: Callable[[Steps], Parts]
-    fineness: float  # scales every number of steps, so that the scene has about as many triangles as the one it stands for
+    fineness: float  # scales every number of steps, so that the scene has about as many triangles as the one it replaces
     camera: Camera
     light: Point
 
@@ -49,12 +49,12 @@ class StandIn(NamedTuple):
 def stand_in(name: str, detail: float = 1.0) -> Scene:
     """Return the built-in scene ``name``, one of ``STAND_INS``.
 
-    ``detail``, 0 < detail <= 1, is about the share of the triangles to make; flat parts and the smallest stay as they are.
+    ``detail``, 0 < detail <= 1, is about the share of the triangles to make; flat and very small parts keep theirs.
     """
     if name not in STAND_INS:
-        raise NptraceError(f"{name!r} is not a built-in scene; take one of {', '.join(STAND_INS)}")
+        raise NptraceError(f"{name!r} is not a built-in scene; choose one of {', '.join(STAND_INS)}")
     if not 0.0 < detail <= 1.0:
-        raise NptraceError(f"detail is {detail!r}, must be above 0 and at most 1")
+        raise NptraceError(f"detail is {detail!r} but must be above 0 and at most 1")
     made = STAND_INS[name]
 
     def steps(n: int) -> int:

@@ -23,7 +23,7 @@ from nptrace_base.jit import kernel
 from rtrace.trees.clip import POLYGON, split_bounds, value
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room, slack_of
-from rtrace.trees.tree import KD_NODE, LEAF, Tree, check_finite, triangle_boxes, words
+from rtrace.trees.tree import KD_NODE, LEAF_AXIS, Tree, check_finite, triangle_boxes, words
 
 # An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
 # what lies in it, and that before what starts there.
@@ -245,7 +245,7 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
             return _OUT_OF_NODES
         if state[_REFS] + n > prims.size:
             return _OUT_OF_PRIMS
-        axis, half_area = np.int64(LEAF), _half_area(boxes, cell)
+        axis, half_area = np.int64(LEAF_AXIS), _half_area(boxes, cell)
         best = (half_area * n, np.int64(0))
         if level < max_level and state[_NODES] < _TRIANGLE and half_area > 0.0 and n > empty_bonus * trav:
             for k in range(3):
@@ -253,16 +253,16 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
                 if trial[0] < best[0]:
                     axis, best = k, trial
         plane, n_below, n_above = best[1], np.int64(0), np.int64(0)
-        if axis != LEAF:
+        if axis != LEAF_AXIS:
             n_below, n_above = _classify(events, axis, begin[3 * cell + axis], end[3 * cell + axis], plane, n, side)
         n_refs = state[_PENDING] - n + n_below + n_above
-        if axis == LEAF or n_refs > ceiling[cell]:
+        if axis == LEAF_AXIS or n_refs > ceiling[cell]:
             n_fresh = _list_triangles(events, begin[3 * cell], end[3 * cell], fresh)
             sort(fresh, n_fresh, spare)
             for i in range(n):
                 prims[state[_REFS] + i] = fresh[i]
             uints[2 * node] = state[_REFS]
-            uints[2 * node + 1] = n << 2 | LEAF
+            uints[2 * node + 1] = n << 2 | LEAF_AXIS
             state[_REFS] += n
             state[_WAITING] -= 1
             continue
@@ -444,7 +444,7 @@ def _sah(floats, uints, boxes, stack, c_trav, c_isect):
         cell = waiting - 1
         node, half_area = stack[cell], _half_area(boxes, cell)
         axis, count = uints[2 * node + 1] & 3, np.int64(uints[2 * node + 1] >> 2)
-        if axis == LEAF:
+        if axis == LEAF_AXIS:
             total += c_isect * count * half_area
             waiting -= 1
         else:

@@ -11,9 +11,10 @@ import numpy as np
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 
-#: Low two bits of ``meta``: the split axis 0, 1, 2 of an inner node, or LEAF. The upper 30 bits are the number of
+#: Low two bits of ``meta``: the split axis 0, 1, 2 of an inner node, or LEAF_AXIS. The upper 30 bits are the number of
 #: primitives of a leaf, or, in an inner kd node, the number of its lower child.
-LEAF = 3
+AXIS_BITS, AXIS_MASK = 2, 3
+LEAF_AXIS = 3
 
 #: A kd-tree node in 8 bytes: four of them fill a 32-byte line.
 KD_NODE = np.dtype(
@@ -27,6 +28,12 @@ KD_NODE = np.dtype(
 
 #: A BVH node in 32 bytes: its own box, then ``child`` (inner: the lower child; leaf: where its primitives start in prims).
 BVH_NODE = np.dtype([("lower", "<f4", 3), ("upper", "<f4", 3), ("child", "<u4"), ("meta", "<u4")])
+
+
+#: The fields of a node as kernels see them: words of 4 bytes, counted from the node's first.
+KD_WORDS, BVH_WORDS = KD_NODE.itemsize // 4, BVH_NODE.itemsize // 4
+SPLIT, FIRST, KD_META = 0, 0, 1
+LOWER, UPPER, CHILD, META = 0, 3, 6, 7
 
 
 class Tree(NamedTuple):
@@ -69,6 +76,24 @@ def words(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
     return tree.nodes.view(np.float32), tree.nodes.view(np.uint32)
 
 
+class TreeArrays(NamedTuple):
+    """A Tree as the traversal kernels take it: every array flat."""
+
+    nodes: np.ndarray  # float32: the words of the nodes
+    meta: np.ndarray  # uint32: the same memory
+    prims: np.ndarray
+    corners: np.ndarray
+    core: np.ndarray
+    bounds: np.ndarray
+    max_level: int
+
+
+def tree_arrays(tree: Tree) -> TreeArrays:
+    """Return a tree's arrays, flat; nothing is copied."""
+    corners, core, bounds = tree.corners.reshape(-1), tree.core.reshape(-1), tree.bounds.reshape(-1)
+    return TreeArrays(*words(tree), tree.prims, corners, core, bounds, tree.max_level)
+
+
 def check_finite(triangles: np.ndarray) -> None:
     """Raise NptraceError if a coordinate is NaN or infinite."""
     if not np.isfinite(triangles).all():
@@ -85,26 +110,31 @@ def triangle_boxes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @kernel
 def _boxes(corners, lower, upper):
-    three, six, nine = np.uint64(3), np.uint64(6), np.uint64(9)
+    axes, corner_floats = np.uint64(3), np.uint64(9)
+    second, third = axes, axes + axes
     for i in range(np.uint64(lower.size // 3)):
-        for k in range(three):
-            p, q, r = corners[i * nine + k], corners[i * nine + three + k], corners[i * nine + six + k]
+        for k in range(axes):
+            v, at = i * corner_floats + k, i * axes + k
+            p, q, r = corners[v], corners[v + second], corners[v + third]
             low, high = (p, q) if p < q else (q, p)
-            lower[i * three + k] = r if r < low else low
-            upper[i * three + k] = r if r > high else high
+            lower[at] = r if r < low else low
+            upper[at] = r if r > high else high
 
 
 @kernel
-def _node_columns(meta, words_per_node, is_kd, parent, level, axis, n_prims):
+def _node_columns(words, words_per_node, is_kd, parent, level, axis, n_prims):
     """Fill the columns of all nodes; children have higher numbers than their parents."""
+    bits, mask = np.uint32(AXIS_BITS), np.uint32(AXIS_MASK)
+    meta_word, child_word = np.uint64(KD_META if is_kd else META), np.uint64(CHILD)
     parent[0], level[0] = -1, 0
     for i in range(np.uint64(parent.size)):
-        word = meta[(i + np.uint64(1)) * words_per_node - np.uint64(1)]
-        is_leaf = word & np.uint32(3) == LEAF
-        axis[i] = word & np.uint32(3)
-        n_prims[i] = word >> np.uint32(2) if is_leaf else np.uint32(0)
+        first = i * words_per_node
+        meta = words[first + meta_word]
+        is_leaf = meta & mask == LEAF_AXIS
+        axis[i] = meta & mask
+        n_prims[i] = meta >> bits if is_leaf else np.uint32(0)
         if not is_leaf:
-            child = np.uint64(word >> np.uint32(2)) if is_kd else np.uint64(meta[i * words_per_node + np.uint64(6)])
+            child = np.uint64(meta >> bits) if is_kd else np.uint64(words[first + child_word])
             for c in range(child, child + np.uint64(2)):
                 parent[c], level[c] = i, level[i] + np.uint16(1)
 
@@ -129,7 +159,7 @@ def node_table(tree: Tree) -> dict[str, np.ndarray]:
         "address": np.arange(0, n * nodes.itemsize, nodes.itemsize, dtype=np.uint64),
     }
     if tree.kind == "kdtree":
-        table["split"] = np.where(axis == LEAF, np.float32(np.nan), nodes["split"])
+        table["split"] = np.where(axis == LEAF_AXIS, np.float32(np.nan), nodes["split"])
     else:
         for k, name in enumerate("xyz"):
             table[f"min_{name}"] = np.ascontiguousarray(nodes["lower"][:, k])

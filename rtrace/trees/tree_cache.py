@@ -23,7 +23,7 @@ from nptrace_base.atomic import replacing
 from nptrace_base.errors import NptraceError
 from nptrace_base.folders import private_folder
 from nptrace_base.jit import versions
-from nptrace_base.sources import ROOT, digest_of
+from nptrace_base.sources import digest_of
 from rtrace.scenes.scene import Scene
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
@@ -70,8 +70,8 @@ def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: A
 @cache
 def _builder_digest() -> str:
     """Return a digest of the sources that decide what a tree is, and how it is kept."""
-    here = ROOT / "rtrace" / "trees"
-    return digest_of([here / "kdtree.py", here / "bvh.py"]) + hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+    here = Path(__file__)
+    return digest_of([here.with_name("kdtree.py"), here.with_name("bvh.py")]) + hashlib.sha256(here.read_bytes()).hexdigest()
 
 
 def _load(path: Path, scene: Scene, kind: str) -> Tree:

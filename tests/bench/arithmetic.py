@@ -66,12 +66,12 @@ def variant(folder: Path, name: str, replacements: tuple[tuple[str, str], ...]) 
     """Return the traversal module with the replacements made."""
     stem = re.sub(r"\W", "_", name)
     n_made = dict.fromkeys(replacements, 0)
-    for module in ("lanes", "intersect", "traverse"):
+    for module in ("simd", "intersect", "traverse"):
         text = (ROOT / "rtrace" / f"{module}.py").read_text(encoding="utf-8")
         for pattern, replacement in replacements:
             text, n = re.subn(pattern, replacement, text, flags=re.MULTILINE)
             n_made[pattern, replacement] += n
-        for other in ("lanes", "intersect"):
+        for other in ("simd", "intersect"):
             text = text.replace(f"from rtrace.{other} import", f"from {other}_{stem} import")
         (folder / f"{module}_{stem}.py").write_text(text, encoding="utf-8")
     missing = [pattern for (pattern, _), n in n_made.items() if not n]

@@ -3,7 +3,7 @@
 Every unit of a run is counted once, shortly and after a long warm-up, and so is the whole run; then each of many seeds samples
 from these counts, which costs no tracing. Written to docs/data/calibration.csv, one row per scene, tree, picture and set of
 caches, as soon as it is known; rows that are there already are kept. The four scenes are sampled for the default target, the
-unkind pictures of ``tests.bench.step_pictures`` for a wide one, as most of them are counted exactly for a narrow one.
+misleading pictures of ``tests.bench.step_pictures`` for a wide one, as most of them are counted exactly for a narrow one.
 """
 
 import argparse
@@ -125,7 +125,7 @@ def calibrate(source: RayUnits, configs: list[CacheConfig], target: Target, n_se
     counts = UnitCounts(source, configs)
     truth = whole_run(counts, configs, path)
     scouts = [counts.scout(FIRST_SEED + k) for k in range(min(N_SCOUTS, n_seeds))]
-    names = ["accesses per ray", "pre-fetches per access", *(f"{c} {name}" for c in configs for name in QUANTITIES)]
+    names = ["accesses per ray", "prefetches per access", *(f"{c} {name}" for c in configs for name in QUANTITIES)]
     targeted = [i for i, name in enumerate(names) if name.split()[-1] in TARGETED]
     ratios = [i for i, name in enumerate(names) if name.split()[-1] in RATIOS]
     errors, halves, sampled, shares = [], [], [], []

@@ -1,7 +1,7 @@
 """``python -m tests.bench.scaling [SCENE] [SIZE...]``: how the cost of both stages, and their memory, grow with the picture.
 
-Renders one scene's BVH at growing sizes and replays each trace through one cache (8K, 2-way), every command as a process of
-its own whose CPU time and highest memory are read at its end. Writes docs/data/scaling.csv and docs/scaling.svg.
+Renders one scene's BVH at growing sizes and replays each trace through one cache (8K, 2-way), every command as a separate
+process whose CPU time and highest memory are read at its end. Writes docs/data/scaling.csv and docs/scaling.svg.
 """
 
 import csv

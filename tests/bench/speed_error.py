@@ -25,7 +25,7 @@ from cachesim.layout import addresses
 from cachesim.lines import NodeLines
 from cachesim.report.table1 import SCENES, caches
 from cachesim.sampling.cold_start import ALONE, KnownReplay, count_known
-from cachesim.sampling.estimate import QUANTITIES, Sampler, estimate, parse_target, ratios_of
+from cachesim.sampling.estimate import OF_THE_RUN, QUANTITIES, Sampler, estimate, parse_target, ratios_of
 from cachesim.sampling.set_sampling import in_classes
 from cachesim.sampling.shards import HashedDistances
 from cachesim.sampling.strata import Design, weights
@@ -111,7 +111,7 @@ def columns(totals: np.ndarray, truth: np.ndarray, configs: list[CacheConfig]) -
     ratios = ratios_of(configs)
     true = np.array([value_of(ratio, truth) for ratio in ratios])
     error = 100 * (np.array([value_of(ratio, totals) for ratio in ratios]) / true - 1)
-    by_cache = error[2:].reshape(len(configs), len(QUANTITIES))
+    by_cache = error[len(OF_THE_RUN) :].reshape(len(configs), len(QUANTITIES))
     largest = by_cache[np.abs(by_cache).argmax(axis=0), np.arange(len(QUANTITIES))]
     return {"accesses_per_ray": float(error[0])} | dict(zip(QUANTITIES, largest.tolist(), strict=True))
 
@@ -314,7 +314,7 @@ def estimator(rows: Rows, source: RayUnits, exact: Exact, configs: list[CacheCon
             if look.is_within:
                 true = np.array([value_of(ratio, exact.totals) for ratio in ratios_of(configs)])
                 error = 100 * (np.array([interval.value for interval in look.intervals]) / true - 1)
-                by_cache = error[2:].reshape(len(configs), len(QUANTITIES))
+                by_cache = error[len(OF_THE_RUN) :].reshape(len(configs), len(QUANTITIES))
                 largest = by_cache[np.abs(by_cache).argmax(axis=0), np.arange(len(QUANTITIES))]
                 errors.append({"accesses_per_ray": float(error[0])} | dict(zip(QUANTITIES, largest.tolist(), strict=True)))
         taken = []

@@ -1,4 +1,4 @@
-"""Pictures that are unkind to a sample: steps, strips, one hot tile, periods of the sampled unit, caches that nearly hold all.
+"""Pictures that mislead a sample: steps, strips, one hot tile, periods of the sampled unit, caches that nearly hold all.
 
 A name of ``PICTURES`` -> the Picture: what is seen, how large, through which caches. No chance beyond fixed seeds is involved.
 """

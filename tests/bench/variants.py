@@ -17,29 +17,34 @@ from rtrace.traverse import Rays, Room
 from rtrace.trees.tree import Tree
 from tests.bench.measure import ratio, times
 
-_SCALAR = """            t = (nodes[b + nx] - ax) * ix
+_SCALAR = """            bx, by, bz = X + POINT_FLOATS * (backwards & ONE), Y + POINT_FLOATS * (backwards >> Y & ONE), (
+                Z + POINT_FLOATS * (backwards >> Z & ONE)
+            )
+            t0, t1 = near_t, best
+            t = (nodes[b + bx] - ax) * ix
             t0 = t if t > t0 else t0
-            t = (nodes[b + ny] - ay) * iy
+            t = (nodes[b + by] - ay) * iy
             t0 = t if t > t0 else t0
-            t = (nodes[b + nz] - az) * iz
+            t = (nodes[b + bz] - az) * iz
             t0 = t if t > t0 else t0
-            t = (nodes[b + THREE - nx] - zx) * ix
+            t = (nodes[b + POINT_FLOATS + (X + X) - bx] - zx) * ix
             t1 = t if t < t1 else t1
-            t = (nodes[b + FIVE - ny] - zy) * iy
+            t = (nodes[b + POINT_FLOATS + (Y + Y) - by] - zy) * iy
             t1 = t if t < t1 else t1
-            t = (nodes[b + SEVEN - nz] - zz) * iz
+            t = (nodes[b + POINT_FLOATS + (Z + Z) - bz] - zz) * iz
             t1 = t if t < t1 else t1
+            if t0 <= t1:
 """
-_FACES = """        bx, by, bz = backwards & ONE, backwards >> ONE & ONE, backwards >> TWO
-        nx, ny, nz = THREE * bx, ONE + THREE * by, TWO + THREE * bz
+_FACES = """        ox, oy, oz = origin
+        ix, iy, iz = inverses
         ax, ay, az = ox + np.copysign(px, ix), oy + np.copysign(py, iy), oz + np.copysign(pz, iz)
         zx, zy, zz = ox - np.copysign(px, ix), oy - np.copysign(py, iy), oz - np.copysign(pz, iz)
 """
-_CHOSEN = """                    inverse_ = ix if axis == ZERO else (iy if axis == ONE else iz)
-                    from_near = ax if axis == ZERO else (ay if axis == ONE else az)
-                    from_far = zx if axis == ZERO else (zy if axis == ONE else zz)
-                    low = (nodes[b] - from_near) * inverse_
-                    high = (nodes[b] - from_far) * inverse_
+_CHOSEN = """                    inverse_ = ix if axis == X else (iy if axis == Y else iz)
+                    from_near = ax if axis == X else (ay if axis == Y else az)
+                    from_far = zx if axis == X else (zy if axis == Y else zz)
+                    low = (nodes[b + SPLIT] - from_near) * inverse_
+                    high = (nodes[b + SPLIT] - from_far) * inverse_
 """
 
 
@@ -61,25 +66,21 @@ def _aligned(tree: Tree) -> Tree:
     return tree._replace(nodes=nodes)
 
 
-_BY_NUMBER = [("triangle_t(corners, ", "i * NINE,", "triangle_t(corners, np.uint64(c) * NINE,")]
+_BY_NUMBER = [("triangle_t(corners, i * CORNER", "FLOATS,", "triangle_t(corners, np.uint64(c) * CORNER_FLOATS,")]
 
 VARIANTS = {
     "BVH: box tests one plane after the other": Variant(
         "bvh",
         [
-            ("            # The fourth lanes hold", "t1 = z if z < t1 else t1\n", _SCALAR),
-            ("        # The origin as seen from a box's", "scale = pack(ix, iy, iz)\n", _FACES),
+            ("            if _meets_box(nodes, b", "near_t, best):\n", _SCALAR),
+            ("        # The origin as seen from a box's", "scale = pack(inverses[0], inverses[1], inverses[2])\n", _FACES),
         ],
-    ),
-    "BVH: requests copied by a loop": Variant(
-        "bvh", [("    e0, e1 = ", "    end = n_events + pp - BOTTOM\n    n_events += EIGHT\n    pp -= EIGHT\n",
-                 "    end = n_events + pp - BOTTOM\n")]
     ),
     "kd-tree: choosing among three variables at a node": Variant(
         "kdtree",
         [
-            ("                    low = (nodes[b] - seen[FOUR", "seen[EIGHT + axis]) * seen[axis]\n", _CHOSEN),
-            ("        # Per axis: the inverse, and", "fifth more time.\n", _FACES[_FACES.index("        ax,") :]),
+            ("                    low = (nodes[b + SPLIT]", "seen[FROM_FAR + axis]) * seen[INVERSE + axis]\n", _CHOSEN),
+            ("        # The origin as seen from a plane's", "ix, iy, iz = inverses\n", _FACES),
         ],
     ),
     "BVH: triangles by their number, not in leaf order": Variant(
@@ -106,6 +107,8 @@ def module_of(name: str, variant: Variant, folder: Path) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)
+    # Numba looks a NamedTuple's type up by its fields: of two classes alike, one takes half a millisecond at every call.
+    module.Rays, module.Hits = traverse.Rays, traverse.Hits
     return module
 
 

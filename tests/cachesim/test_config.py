@@ -1,4 +1,4 @@
-"""A cache's geometry: sizes as people write them, and a message with the value, the rule and the way out."""
+"""A cache's geometry: sizes as text, and messages with the value, the rule and the way out."""
 
 import re
 
@@ -57,7 +57,7 @@ def test_sets():
         ((8192, 1, 0), "a line of 0 B is not a power of two"),
         ((1 << 40, 1), "the limit is"),
         ((8192, 1, 32, "mru"), "'mru' is not a replacement policy; choose one of lru, fifo, random"),
-        ((8192, 1, 32, "random", -1), "a seed of -1 does not fit"),
+        ((8192, 1, 32, "random", -1), "a seed of -1 is out of range"),
     ],
 )
 def test_what_is_not_a_cache(config, message):

@@ -1,4 +1,4 @@
-"""What DineroIV release 7 printed for 22 traces of ours: every counter, and the statistics block byte by byte."""
+"""DineroIV release 7 on recorded traces: every printed counter, and the statistics block byte for byte."""
 
 import gzip
 import json

@@ -1,4 +1,4 @@
-"""Belady's replacement: the least misses there can be, never more than any other policy, equal to a model that looks ahead."""
+"""Belady's replacement: the fewest possible misses, never more than another policy, equal to a model that looks ahead."""
 
 from functools import cache
 from itertools import pairwise

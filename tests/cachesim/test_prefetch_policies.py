@@ -1,6 +1,6 @@
-"""Every policy of the pre-fetch unit, run inside the slow traverser, against the stream derived from the demand accesses.
+"""Every policy of the prefetch unit, run inside the slow traverser: the same stream as derived from the demand accesses.
 
-The traverser of ``tests.reference.traversal`` gets a unit with a policy in place of its own, so requests are made while the
+The traverser of ``tests.reference.traversal`` gets a unit with another policy, so requests are made while the
 ray walks the tree: no stack is rebuilt. Then runs in every order of rays: their traced requests are the derived ones.
 """
 

@@ -1,4 +1,4 @@
-"""What is kept from one batch to the next: the account of a cache that sees many batches, and new lines in each."""
+"""State from one batch to the next: the account of a cache that sees many batches, and new lines in each."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""More mutations for ``tests.mutations``: builders, clipping and sorting; sweep, stack distances, filter and OPT; whole files."""
+"""Mutations of builders, clipping and sorting; sweep, stack distances, filter and OPT; atomic output."""
 
 # ruff: noqa: E501
 # fmt: off
@@ -46,9 +46,9 @@ MUTATIONS = [
     Mutation("clipping: the crossing point is not put on the plane", CL, "    points[out + axis] = plane\n", "", KD),
     Mutation("clipping: corners on the plane are lost", CL, "if here * side >= 0.0:", "if here * side > 0.0:", KD),
     Mutation("clipping: the last edge is left open", CL, "        b = a + THREE if i + ONE < n else first\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", "        b = a + THREE if i + ONE < n else a\n        here, there = points[a + axis] - plane, points[b + axis] - plane\n        if here * side", KD),
-    Mutation("clipping: bounds outgrow those of the cell before", CL, "inner_lo, inner_hi = max(lo, _rank_below(lower)), min(hi, _rank_above(upper))", "inner_lo, inner_hi = _rank_below(lower), _rank_above(upper)", KD),
-    Mutation("clipping: parts bounded by corners alone", CL, "            _include(points, crossing, in_below)\n            _include(points, crossing, in_above)\n", "", KD),
-    Mutation("clipping: the upper part misses the crossing points", CL, "            _include(points, crossing, in_above)\n", "", KD),
+    Mutation("clipping: bounds outgrow those of the cell before", CL, "inner_lo, inner_hi = max(lo, _rank_below(lower - slack)), min(hi, _rank_above(upper + slack))", "inner_lo, inner_hi = _rank_below(lower - slack), _rank_above(upper + slack)", KD),
+    Mutation("clipping: parts bounded by corners alone", CL, "            _include(points, crossing, in_below)\n            if slack == 0.0:\n                _include(points, crossing, in_above)\n", "", KD),
+    Mutation("clipping: the upper part misses the crossing points", CL, "            if slack == 0.0:\n                _include(points, crossing, in_above)\n", "", KD),
     Mutation("clipping: an upper bound is not widened", CL, "points[box + THREE + k] = max(points[box + THREE + k], x)", "points[box + THREE + k] = x", KD),
     # --- BVH ---
     Mutation("BVH: half the area leaves a face out", BV, "return dx * dy + dy * dz + dz * dx", "return dx * dy + dy * dz", BVH),
@@ -56,7 +56,7 @@ MUTATIONS = [
     Mutation("BVH: the highest of equal costs is taken", BV, "        if cost < best:\n            best, position = cost, i + 1", "        if cost <= best:\n            best, position = cost, i + 1", BVH),
     Mutation("BVH: the z axis is never tried", BV, "    for k in range(3):\n        cost, position", "    for k in range(2):\n        cost, position", BVH),
     Mutation("BVH: the longest axis is the shortest", BV, "if dx >= dy and dx >= dz:", "if dx <= dy and dx <= dz:", BVH),
-    Mutation("BVH: a child's box from its parent's triangles", BV, "_box_of(order, start, position, boxes, nodes, n_nodes)", "_box_of(order, start, end, boxes, nodes, n_nodes)", BVH),
+    Mutation("BVH: a child's box from its parent's triangles", BV, "_write_box(order, start, position, boxes, nodes, n_nodes)", "_write_box(order, start, end, boxes, nodes, n_nodes)", BVH),
     Mutation("BVH: the level of a right child is its parent's", BV, "n_nodes + 1, position, end, level + 1", "n_nodes + 1, position, end, level", BVH),
     # --- sweep ---
     Mutation("sweep: the upper end of a range is left out", "cachesim/grid.py", "range(int(low), int(high) + 1)", "range(int(low), int(high))", f"{SWEEP} -k range"),

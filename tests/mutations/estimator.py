@@ -1,4 +1,4 @@
-"""More mutations for ``tests.mutations``: what an estimate says of itself, its variances, its file of counts."""
+"""Mutations of an estimate: its claims, its variances, its file of counts."""
 
 # ruff: noqa: E501
 # fmt: off
@@ -60,7 +60,7 @@ MUTATIONS = [
     Mutation("kept: a file of another run is continued", KE, "if own == key:", "if own:", RESUME),
     Mutation("kept: arrays are taken as they are", KE, "return _checked(Kept(**arrays), n_units, 3 * n_caches, n_positions)", "return Kept(**arrays)", RESUME),
     Mutation("kept: compressed files of any size", KE, "if any(member.compress_type != zipfile.ZIP_STORED for member in members.infolist()):", "if False:", RESUME),
-    Mutation("kept: a missing folder is found when it is too late", UN, "kept.check_place(path)", "pass", RESUME),
+    Mutation("kept: a missing folder is found when it is too late", UN, "resume_file.check_place(path)", "pass", RESUME),
     Mutation("kept: what a damaged archive raises is a bug", KE, "ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error", "ValueError, KeyError, TypeError, EOFError, zlib.error", RESUME),
     Mutation("kept: units beyond the run", KE, "if (units >= n_units).any():", "if False:", RESUME),
 ]

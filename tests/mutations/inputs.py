@@ -24,7 +24,11 @@ MUTATIONS = [
     Mutation("values: triangles in inner nodes", CH, "if has_children[i] and n_prims[i] != 0:", "if has_children[i] and n_prims[i] > 9:", VALUES),
     Mutation("values: numbers of nodes are not looked at", CH, "if node[i] != i:", "if node[i] != node[i]:", VALUES),
     Mutation("values: addresses are not looked at", RD, 'self.footer.tree.node_bytes if "address" in columns else None', "None", VALUES),
-    Mutation("values: the tree of a layout as stored is not checked", RD, "            if checked is not None:\n                checked.result()\n\n", "", VALUES),
+    Mutation("values: the tree of a layout as stored is not checked", RD, 'self.columns("nodes", ["axis"])["axis"] if', 'self._plain("nodes", ["axis"])["axis"] if', VALUES),
+    Mutation("values: a quick look finds every node good", CH, "    is_bad = False\n    for i in range(np.uint64(node.size)):", "    is_bad = False\n    for i in range(0):", VALUES),
+    Mutation("values: a quick look does not compare kinds", CH, " and bits_of_kinds <= last_kind", "", "tests/traces/test_access_check.py"),
+    Mutation("values: a quick look lets a node one beyond by", CH, "return highest <= last and", "return highest <= last + 1 and", "tests/traces/test_access_check.py"),
+    Mutation("values: a quick look lets every kind by", CH, "is_allowed &= np.uint64(allowed[", "is_allowed |= np.uint64(allowed[", "tests/traces/test_access_check.py"),
     Mutation("values: rows count from the batch", RD, "                row += read.num_rows\n", "", VALUES),
     Mutation("values: the walk's rows count from the batch", "cachesim/prefetch.py", "        self._n_rows += nodes.size\n", "        self._n_rows += 1\n", "tests/test_fuzz.py tests/traces/test_run_values.py"),
     Mutation("values: a BVH discards what it popped", "cachesim/prefetch.py", "sp = sp - 1 if is_kd else np.int64(0)", "sp -= 1", "tests/cachesim/test_prefetch.py tests/test_fuzz.py"),
@@ -52,7 +56,7 @@ MUTATIONS = [
     Mutation("din: no warning of pre-fetches that span lines", DI, 'if fmt == "binary" and prefetch == "b":', 'if fmt == "xml":', STREAMS),
     # --- names and forms ---
     Mutation("names: handed to Arrow", RD, 'handles.enter_context(file.open("rb"))', "str(file)", STREAMS),
-    Mutation("names: written by Arrow", "traces/writer.py", 'self._file = path.open("wb")', "self._file = path", STREAMS),
+    Mutation("names: written by Arrow", "traces/writer.py", 'pa.OSFile(os.fsencode(path), "wb")', 'pa.OSFile(str(path), "wb")', STREAMS),
     Mutation("names: printed as they are", "nptrace/groups.py", 'sys.stdout.reconfigure(errors="backslashreplace")', "pass", STREAMS),
     Mutation("forms: --json beside another form", "nptrace/output.py", 'if as_json and form not in (None, "json"):', 'if as_json and form == "json":', STREAMS),
 ]

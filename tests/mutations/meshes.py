@@ -5,7 +5,7 @@
 
 from tests.mutations.mutation import Mutation
 
-TEXT, OBJ, OFF, PLY, STL = (f"rtrace/meshes/{name}.py" for name in ("text", "obj", "off", "ply", "stl"))
+TEXT, OBJ, OFF, PLY, STL = (f"rtrace/scenes/meshes/{name}.py" for name in ("text", "obj", "off", "ply", "stl"))
 GLTF, FILE, POLYGONS, MESH = "rtrace/scenes/meshes/gltf.py", "rtrace/scenes/meshes/gltf_file.py", "rtrace/scenes/meshes/polygons.py", "rtrace/scenes/mesh_file.py"
 FILES, CORPUS = "tests/rtrace/scenes/test_mesh_files.py", "tests/rtrace/scenes/test_mesh_corpus.py"
 BOTH = f"{FILES} {CORPUS}"
@@ -22,7 +22,7 @@ MUTATIONS = [
     Mutation("meshes: free-form surfaces are not said", "rtrace/scenes/meshes/obj.py", "elif key in _UNREAD:", "elif key in ():", FILES),
     Mutation("meshes: OBJ counts backwards from the end", "rtrace/scenes/meshes/obj.py", "np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))", "np.full(len(face_lines), len(vertex_lines))", "tests/rtrace/scenes/test_scene.py -k backwards"),
     Mutation("meshes: OFF with other coordinates is read", "rtrace/scenes/meshes/off.py", 'if keyword[1] or b"nOFF" in words[0]:', "if keyword[1]:", FILES),
-    Mutation("meshes: OFF's keyword in capitals only", OFF, "re.IGNORECASE", "0", BOTH),
+    Mutation("meshes: OFF's keyword in capitals only", OFF, "OFF(.*)\", re.IGNORECASE", "OFF(.*)\", 0", BOTH),
     Mutation("meshes: lines after the last OFF face are not said", "rtrace/scenes/meshes/off.py", "if n_rows > n_vertices + n_faces:", "if n_rows < 0:", FILES),
     Mutation("meshes: a binary PLY with CR loses a byte", "rtrace/scenes/meshes/ply.py", 'if first[0] == b"\\r" else', "if False else", f"{FILES} -k first_byte"),
     Mutation("meshes: end_header anywhere ends a PLY header", "rtrace/scenes/meshes/ply.py", 'if rows[-1] == [b"end_header"]:', 'if b"end_header" in rows[-1]:', BOTH),
@@ -33,7 +33,7 @@ MUTATIONS = [
     Mutation("meshes: STL beginning with solid is text", "rtrace/scenes/meshes/stl.py", ' and b"\\0" not in text', "", BOTH),
     Mutation("meshes: STL bytes after the triangles are not said", "rtrace/scenes/meshes/stl.py", "elif promised < len(data):", "elif promised < 0:", FILES),
     Mutation("meshes: STL without a count is refused", "rtrace/scenes/meshes/stl.py", "_UNKNOWN = (0, 0xFFFFFFFF)", "_UNKNOWN = ()", BOTH),
-    Mutation("meshes: STL's unended solid is not said", "rtrace/scenes/meshes/stl.py", "and may be cut off\"] if solid else []", "and may be cut off\"] if solid == b\"?\" else []", FILES),
+    Mutation("meshes: STL's unended solid is not said", "rtrace/scenes/meshes/stl.py", "and may be truncated\"] if solid else []", "and may be truncated\"] if solid == b\"?\" else []", FILES),
     Mutation("meshes: STL 'end solid' is no end", "rtrace/scenes/meshes/stl.py", 'or (key == b"end" and', 'or (key == b"ende" and', FILES),
     Mutation("meshes: STL vertices outside of loops", "rtrace/scenes/meshes/stl.py", "            if not in_loop:\n", "            if False:\n", FILES),
     Mutation("meshes: polygons are always fans", POLYGONS, "for k in np.flatnonzero(wrong)]", "for k in np.flatnonzero(wrong & False)]", BOTH),

@@ -1,4 +1,4 @@
-"""Mutations of what is written where: outputs, run names, cache folders, interrupts."""
+"""Mutations of the targets of output: outputs, run names, cache folders, interrupts."""
 
 # ruff: noqa: E501
 # fmt: off

@@ -1,6 +1,6 @@
 # ruff: noqa: E501
 # fmt: off
-"""Mutations of what visits mean: margins of strays, zeros, rays that are none, cut chunks, cameras, kernels in Python."""
+"""Mutations of the rules of visits: margins of strays, zeros, invalid rays, cut chunks, cameras, kernels in Python."""
 
 from tests.mutations.mutation import Mutation
 
@@ -16,7 +16,7 @@ MUTATIONS = [
     Mutation("strays: binned records keep their tight boxes", "rtrace/trees/binned_sah.py", "boxes[:, :3], boxes[:, 3:6] = lower, NOTHING - upper", "pass", STRAYS),
     Mutation("clip: parts of strays do not reach across the plane", "rtrace/trees/clip.py", "low_plane, high_plane = plane - slack, plane + slack", "low_plane, high_plane = plane, plane", STRAYS),
     Mutation("clip: bounds of parts of strays are tight", "rtrace/trees/clip.py", "min(hi, _rank_above(upper + slack))", "min(hi, _rank_above(upper))", STRAYS),
-    Mutation("tree cache: the core is the whole box", "rtrace/trees/tree_cache.py", "extent = np.stack((tree.bounds, tree.core))", "extent = np.stack((tree.bounds, tree.bounds))", "tests/rtrace/trees/test_tree_cache.py"),
+    Mutation("tree cache: the core is the whole box", "rtrace/trees/tree_cache.py", "np.stack((tree.bounds, tree.core))", "np.stack((tree.bounds, tree.bounds))", "tests/rtrace/trees/test_tree_cache.py"),
     Mutation("traversal: the inverse of a zero has its sign", "rtrace/intersect.py", "return 1.0 / d if d != 0.0 else HUGE", "return 1.0 / d if d != 0.0 else np.copysign(HUGE, d)", RULES),
     Mutation("traversal: rays that are none are traced", "rtrace/intersect.py", "return t_max if total - total == 0.0 and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan", "return t_max", RULES),
     Mutation("traversal: rays without a direction are traced", "rtrace/intersect.py", " and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan", " else np.nan", RULES),
@@ -28,7 +28,7 @@ MUTATIONS = [
     Mutation("chunks: pixels counted in both passes", "rtrace/render.py", "if chunk.is_shaded:", "if True:", MEMORY),
     Mutation("camera: an eye of any size", "rtrace/camera.py", "if max(map(abs, self.eye)) > FARTHEST:", "if False:", CAMERA),
     Mutation("camera: a field of any width", "rtrace/camera.py", "if self.fov < MIN_FOV:", "if False:", CAMERA),
-    Mutation("camera: fitted beyond float32", "rtrace/camera.py", "    distance = min(distance, np.min(", "    distance = max(distance, 0 * np.min(", CAMERA),
+    Mutation("camera: fitted beyond float32", "rtrace/camera.py", "np.where(np.abs(eye) > FARTHEST, middle + distance * forward, eye)", "eye", CAMERA),
     Mutation("plain: smaller lanes are larger", "rtrace/simd.py", "lambda *lanes: tuple(a if a < b else b", "lambda *lanes: tuple(b if a < b else a", PLAIN),
     Mutation("plain: boxes do not grow", "rtrace/trees/binned_sah.py", "_on_eight_words(_least, np.fmin)", "_on_eight_words(_least, np.fmax)", PLAIN),
     Mutation("plain: the line carried is dropped", "cachesim/all_associativity.py", "    group[0] = carried\n", "", PLAIN),

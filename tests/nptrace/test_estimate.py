@@ -1,4 +1,4 @@
-"""npcache estimate, and table1 --target-error: what is printed, and one sentence for what is wrong."""
+"""npcache estimate, and table1 --target-error: what is printed, and one sentence for each bad input."""
 
 import json
 
@@ -83,7 +83,7 @@ def test_table1_estimated(form):
         (["estimate", "court", "--size", "8K", "--assoc", "3"], "is not a whole number of sets"),
         (["estimate", "court", "--pixels", "big"], "is not WIDTHxHEIGHT"),
         (["estimate", "court", "--resume", "x.npz"], "--resume x.npz keeps the counts of one run"),
-        (["table1", "--target-error", "2%", "--format", "csv"], "has no place for half-widths"),
+        (["table1", "--target-error", "2%", "--format", "csv"], "cannot hold half-widths"),
         (["table1", "--target-error", "two"], "'two' is not a target error"),
     ],
 )

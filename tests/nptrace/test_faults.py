@@ -1,4 +1,4 @@
-"""Faults from outside: killed at any moment, a disk that is full, two writers at once, no memory. Whole runs or none."""
+"""Faults from outside: killed at any moment, a full disk, two writers at once, no memory. Complete runs or none."""
 
 import os
 import random

@@ -1,6 +1,6 @@
-"""The set of messages: what each command says of each kind of bad input, word for word, and what it must not call one.
+"""The list of messages: each command's answer to each kind of bad input, word for word; a bug is not reported as one.
 
-``messages.txt`` has a command a line and below it the sentence; ``python -m tests.nptrace.test_messages`` prints it anew.
+``messages.txt`` has a command per line and its sentence below; ``python -m tests.nptrace.test_messages`` prints it again.
 """
 
 import os

@@ -69,7 +69,7 @@ def test_csv_and_table(folder):
     ]
     table = replayed(*args)
     assert table.isascii()
-    assert "bunny-kdtree (stand-in), pre-fetch stack:tris*2, layout veb+8" in table
+    assert "bunny-kdtree (stand-in), prefetch stack:tris*2, layout veb+8" in table
     assert "demand miss rate = demand misses / demand accesses" in " ".join(table.split())
     for row in rows:
         assert f"{int(row['demand_misses']):,}" in table
@@ -81,7 +81,7 @@ def test_dinero_report(folder):
     assert replayed(folder / "x.din", "--size", "1K", "--assoc", "2", "--report", "dinero") == block
     assert "Prefetch Fetches" in block
     both = replayed(folder / "x.din", "--size", "1K", "--assoc", "2,4", "--report", "dinero")
-    assert f"x.din, pre-fetch traced, 1K 2-way 32 B lru\n{block}" in both
+    assert f"x.din, prefetch traced, 1K 2-way 32 B lru\n{block}" in both
     assert "Prefetch Fetches" not in replayed(folder / "x.din", "--prefetch", "none", "--report", "dinero")
 
 
@@ -120,8 +120,8 @@ def test_table1(folder, tmp_path):
         (["replay", "no-such.din"], "Error: cannot read no-such.din: No such file or directory"),
         (["replay", "--traces", "nowhere"], "Error: there is no run in nowhere; make one with `nptrace render SCENE`"),
         (["table1", "--traces", "nowhere"], "Error: there is no run in nowhere"),
-        (["table1", "--traces", "HERE", "-o", "no/where.csv"], "Error: cannot write no/where.csv: No such file or directory"),
-        (["replay", "BAD"], "line 3: label 1 is a write, and nodes are read-only"),
+        (["table1", "--traces", "HERE", "-o", "no/where.csv"], "Error: cannot write no/where.csv: there is no folder no"),
+        (["replay", "BAD"], "line 3: access type 1 is a write, and nodes are read-only"),
         (["replay", "DAMAGED"], "is not a complete run: nodes.parquet missing; render it again"),
     ],
 )

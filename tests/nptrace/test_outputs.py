@@ -1,4 +1,4 @@
-"""Where an output goes: through links, into FIFOs, devices and open files, with the permissions there were, or a sentence."""
+"""The targets of outputs: through links, into FIFOs, devices and open files, with existing permissions, or a sentence."""
 
 import os
 import stat
@@ -222,13 +222,13 @@ def test_a_run_that_is_a_link_is_written_where_it_leads(folder):
     (folder / "traces" / "one-bvh").rename(folder / "big" / "one-bvh")
     link = folder / "traces" / "one-bvh"
     link.symlink_to(folder / "big" / "one-bvh")
-    before = (folder / "big" / "one-bvh").stat().st_ino
+    (folder / "held").hardlink_to(folder / "big" / "one-bvh" / "rays.parquet")  # so that no other file gets its number
     for _ in range(2):
         run(cli.nptrace, *RENDER)
         assert link.is_symlink()
         assert open_run(link).n_accesses > 0
         assert hidden(folder) == []
-    assert (folder / "big" / "one-bvh").stat().st_ino != before  # another run, made anew
+    assert (folder / "big" / "one-bvh" / "rays.parquet").stat().st_ino != (folder / "held").stat().st_ino  # made anew
     run(cli.nptrace, *RENDER, "--batch", "0", "--overwrite")
     assert open_run(folder / "big" / "one-bvh").footer.batch == 0
 
@@ -261,7 +261,7 @@ def test_a_run_keeps_the_permissions_of_the_one_before(folder):
 def test_names_that_are_not_utf8_are_written(folder):
     odd = os.fsdecode(b"t\xe9")
     done = program("nptrace", *RENDER, "--out", odd, stdout=subprocess.PIPE)
-    assert b" t\xe9/one-bvh " in done.stdout
+    assert rb" t\xe9/one-bvh " in done.stdout
     assert sorted(os.listdir(f"{odd}/one-bvh")) == sorted(os.listdir("traces/one-bvh"))
     assert Path(odd, "one-bvh", "rays.parquet").read_bytes() == Path("traces/one-bvh/rays.parquet").read_bytes()
     for ending in (".csv", ".parquet"):

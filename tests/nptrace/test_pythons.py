@@ -1,4 +1,4 @@
-"""The Pythons that are promised are those that are tested, and each has an environment of its own."""
+"""The supported Pythons are those that are tested, each in a separate environment."""
 
 import os
 import re

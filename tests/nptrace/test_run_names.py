@@ -1,4 +1,4 @@
-"""The names of runs: two scenes are never one, no run is lost unasked, and every run is found."""
+"""The names of runs: two scenes never share one, no run is lost unasked, and every run is found."""
 
 import os
 
@@ -44,7 +44,7 @@ def test_two_scenes_of_one_name_are_refused_before_anything_is_traced(folder):
 
 def test_a_name_is_that_of_a_folder_once_per_scene(folder):
     for name in ("../x", "a/b", "", ".", ".x", "-x", "a b"):
-        assert f"--name: {name!r} is no name for a run" in run("a/model.obj", *SMALL, "--name", name, code=2)
+        assert f"--name: {name!r} cannot name a run" in run("a/model.obj", *SMALL, "--name", name, code=2)
     assert "there are 1 --name for 2 SCENE" in run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", code=2)
     assert not (folder / "traces").exists()
 

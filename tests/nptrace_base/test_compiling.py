@@ -1,4 +1,4 @@
-"""Compiling: ahead of the first use, said when it happens, and never the same kernel twice."""
+"""Compiling: ahead of the first use, announced when it happens, and never the same kernel twice."""
 
 import os
 import re
@@ -14,7 +14,8 @@ from nptrace_base.jit import cache_folder
 ROOT = Path(__file__).resolve().parents[2]
 
 SIGNATURES = """
-import sys, precompile
+import sys
+from nptrace import precompile
 from numba.core.dispatcher import Dispatcher
 for part in precompile.PARTS:
     part()
@@ -27,7 +28,8 @@ for name, module in sorted(sys.modules.items()):
 """
 
 USE = """
-import sys, compiling, cli
+import sys, cli
+from nptrace_base import compiling
 from click.testing import CliRunner
 def run(group, *args):
     result = CliRunner().invoke(group, args)

@@ -1,4 +1,4 @@
-"""Where kernels and trees are kept: nowhere that others may write, never those of other sources, and trouble stops nothing."""
+"""Where kernels and trees are kept: nowhere that others may write, never those of other sources; failures stop nothing."""
 
 import ast
 import os
@@ -115,8 +115,9 @@ def test_importing_touches_no_folder(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
+PACKAGES = ("nptrace", "nptrace_base", "rtrace", "cachesim", "traces")
 DIGESTS = """
-from jit import kernel_digest, _stamp
+from nptrace_base.jit import kernel_digest, _stamp
 from rtrace.trees.tree_cache import _builder_digest
 from nptrace_base.sources import ROOT
 print(kernel_digest(), _builder_digest(), _stamp(ROOT / "cachesim/source.py"), _stamp(ROOT / "cachesim/replacement.py"))
@@ -127,12 +128,9 @@ print(kernel_digest(), _builder_digest(), _stamp(ROOT / "cachesim/source.py"), _
 def digests(tmp_path_factory):
     """Return a function: a file, a text and another -> the digests of the project with that replaced."""
     folder = tmp_path_factory.mktemp("project")
-    for path in [
-        *ROOT.glob("*.py"),
-        *(p for package in ("rtrace", "cachesim", "traces") for p in ROOT.glob(f"{package}/*.py")),
-    ]:
+    for path in [ROOT / "cli.py", *(p for package in PACKAGES for p in ROOT.glob(f"{package}/**/*.py"))]:
         copy = folder / path.relative_to(ROOT)
-        copy.parent.mkdir(exist_ok=True)
+        copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(path, copy)
 
     def found(file=None, old="", new=""):

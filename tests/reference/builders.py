@@ -1,4 +1,4 @@
-"""The builders' own code run by Python, for tests: with scratch memory poisoned, or with every step of a kd-tree's checked."""
+"""The builders' code run as plain Python: with scratch memory poisoned, or with every step of a kd-tree's checked."""
 
 import contextlib
 import itertools
@@ -49,6 +49,8 @@ def poisoned(byte: int) -> Iterator[None]:
     def empty_like(*args: Any, **options: Any) -> np.ndarray:
         return fill(_empty_like(*args, **options))
 
+    # Numba looks NumPy's functions up by themselves, once, at the first compilation: it must not see ours then.
+    numba.njit(lambda n: np.empty_like(np.empty(n)))(1)
     with _in_python() as stack:
         stack.enter_context(patch.multiple(np, empty=empty, empty_like=empty_like))
         yield

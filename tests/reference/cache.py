@@ -1,4 +1,4 @@
-"""Slow, obvious models of what cachesim computes with kernels: the cache, the pre-fetch unit, 3C and the account."""
+"""Slow, simple models of what cachesim computes with kernels: the cache, the prefetch unit, 3C and the account."""
 
 from collections import OrderedDict
 

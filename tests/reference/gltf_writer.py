@@ -1,6 +1,6 @@
-"""A writer of glTF and GLB that knows nothing of our reader: a shape's triangles, moved by the means that glTF has.
+"""A writer of glTF and GLB, independent of our reader: a shape's triangles, placed by glTF's means.
 
-What a reader must find is computed here from the same moves in plain Python.
+The expected triangles are computed here from the same moves in plain Python.
 """
 
 import base64

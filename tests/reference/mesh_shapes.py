@@ -1,4 +1,4 @@
-"""Shapes whose area and volume are known by hand, for files that a test writes.
+"""Shapes with known area and volume, for files that a test writes.
 
 All coordinates are multiples of 1/64, which every format holds exactly.
 """
@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Shape(NamedTuple):
-    """Polygons with what a reader must find: their area, and the volume they enclose (None: they enclose none)."""
+    """Polygons, their area, and the volume they enclose (None: they enclose none)."""
 
     name: str
     vertices: list[tuple[float, float, float]]
@@ -21,7 +21,7 @@ class Shape(NamedTuple):
     is_convex: bool
 
     def fans(self) -> np.ndarray:
-        """Return what a reader must make of convex polygons, (n, 3, 3) float32."""
+        """Return the triangles that a reader must make of convex polygons, (n, 3, 3) float32."""
         corners = [[p[0], p[k], p[k + 1]] for p in self.polygons for k in range(1, len(p) - 1)]
         return np.array([[self.vertices[i] for i in each] for each in corners], np.float32)
 

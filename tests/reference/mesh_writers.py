@@ -1,4 +1,4 @@
-"""Writers of OBJ, OFF, PLY and STL that know nothing of our readers: each writes a shape in one of the ways that people do."""
+"""Writers of OBJ, OFF, PLY and STL independent of our readers: each writes a shape in one of the usual ways."""
 
 import gzip
 import struct

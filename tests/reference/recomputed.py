@@ -1,4 +1,4 @@
-"""What a run's files say, read with DuckDB, and what a slow cache makes of it: the truth for every value that is printed."""
+"""A run's files, read with DuckDB, and a slow cache's counts of them: the reference for every printed value."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Runs whose values, types, order of columns, rows or row groups another tool changed, and a slow reading of them."""
+"""Runs in which another tool changed values, types, columns, rows or row groups, and a slow reader of them."""
 
 import json
 import random

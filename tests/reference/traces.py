@@ -1,4 +1,4 @@
-"""Small random trees and traces that keep the contract of a run: what the tests of cachesim replay."""
+"""Small random trees and traces that follow the contract of a run: the inputs of cachesim's tests."""
 
 import random
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
-"""A slow traverser in plain Python, written from the paper and the design, not from the kernels: the truth for visit lists.
+"""A slow traverser in plain Python, written from the paper and the design, not from the kernels: the reference for visits.
 
-It keeps a stack of its own (a list) and a pre-fetch unit of its own (an object with the words of Park et al. 2013, Sec. 3).
+It has a separate stack (a list) and prefetch unit (an object with the words of Park et al. 2013, Sec. 3).
 Python floats are IEEE doubles, so results are compared bit by bit.
 """
 

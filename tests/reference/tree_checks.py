@@ -1,6 +1,6 @@
-"""What holds for every tree, whatever its triangles: its structure, what its leaves list (by exact clipping) and its hits.
+"""Properties of every tree, whatever its triangles: its structure, what its leaves list (by exact clipping) and its hits.
 
-And the scenes to try it on, on which builders break: any bits, few whole numbers, slivers as wide as float64's cos(pi/2).
+Also scenes on which builders break: random bits, few integers, slivers as wide as float64's cos(pi/2).
 """
 
 from collections.abc import Callable, Iterator
@@ -12,7 +12,8 @@ from rtrace.scenes.shapes import rectangle
 from rtrace.traverse import Rays, make_rays, trace, trace_all
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
-from rtrace.trees.tree import LEAF, Tree, triangle_boxes
+from rtrace.trees.strays import SLACK, make_room
+from rtrace.trees.tree import LEAF_AXIS, Tree, triangle_boxes
 
 Builder = Callable[[np.ndarray], Tree]
 
@@ -95,7 +96,7 @@ def leaves(tree: Tree) -> Iterator[tuple[Cell, list[int]]]:
         node, (lower, upper), level = todo.pop()
         axis, count, split = metas[node] & 3, metas[node] >> 2, splits[node]
         deepest = max(deepest, level)
-        if axis == LEAF:
+        if axis == LEAF_AXIS:
             assert firsts[node] == first, "leaves fill prims in their own order"
             listed = prims[first : first + count]
             assert listed == sorted(set(listed)), f"a leaf lists {listed}"
@@ -113,17 +114,19 @@ def leaves(tree: Tree) -> Iterator[tuple[Cell, list[int]]]:
 
 
 def check_bvh(tree: Tree) -> None:
-    """Check that every triangle is in one leaf, boxes are exact and pairs are numbered depth-first."""
+    """Check that every triangle is in one leaf, boxes are exact (larger around strays) and pairs are numbered depth-first."""
     children, metas = tree.nodes["child"].tolist(), tree.nodes["meta"].tolist()
     boxes = np.concatenate([tree.nodes["lower"], tree.nodes["upper"]], axis=1).tolist()
-    of_triangles = np.concatenate(triangle_boxes(tree.triangles), axis=1).tolist()
+    lower, upper = triangle_boxes(tree.triangles)
+    make_room(tree.triangles, lower, upper)
+    of_triangles = np.concatenate((lower, upper), axis=1).tolist()
     prims, pair, deepest = tree.prims.tolist(), 1, 0
     todo = [(0, 0)]
     while todo:
         node, level = todo.pop()
         deepest = max(deepest, level)
         at, count = children[node], metas[node] >> 2
-        if metas[node] & 3 == LEAF:
+        if metas[node] & 3 == LEAF_AXIS:
             listed = prims[at : at + count]
             assert listed and listed == sorted(set(listed)), f"a leaf lists {listed}"
             inner = [of_triangles[i] for i in listed]
@@ -178,6 +181,8 @@ def reaches(triangle: list[list[int]], lower: list[int], upper: list[int]) -> bo
 def check_listing(tree: Tree) -> None:
     """Check that a leaf lists exactly the triangles that reach into its cell, but for ``ROUNDING_BITS`` at its faces.
 
+    A stray may be listed beyond that by twice its room: the plane that cuts it moves, and so do the bounds of what is left.
+
     In a cell thinner than that, rounding may leave nothing of a triangle beside it, which then stays listed. A cell without
     volume owes nothing by itself: what lies in a plane is listed on one side of it. So it is checked too that the corners, the
     middles of the edges and the centre of every triangle lie in a leaf that lists it.
@@ -185,6 +190,12 @@ def check_listing(tree: Tree) -> None:
     corners = tree.triangles.tolist()
     shapes = [[[_whole(x) for x in corner] for corner in triangle] for triangle in corners]
     rounding = [[max(abs(corner[k]) for corner in shape) >> ROUNDING_BITS for k in range(3)] for shape in shapes]
+    lower_corners, upper_corners = triangle_boxes(tree.triangles)
+    strays = set(make_room(tree.triangles, lower_corners, upper_corners).strays.tolist())
+    allowed = [
+        [r + (2 * _whole(SLACK * float(np.abs(corners[i]).max())) if i in strays else 0) for r in rounding[i]]
+        for i in range(len(shapes))
+    ]
     boxes = list(zip(*(bound.tolist() for bound in triangle_boxes(tree.triangles)), strict=True))
     homes: list[list[tuple[list[int], list[int]]]] = [[] for _ in shapes]
     for (low, high), listed in leaves(tree):
@@ -193,8 +204,8 @@ def check_listing(tree: Tree) -> None:
             homes[i].append((lower, upper))
             if any(all(low[k] <= corner[k] <= high[k] for k in range(3)) for corner in corners[i]):
                 continue
-            is_thin = any(0 < upper[k] - lower[k] <= 2 * rounding[i][k] for k in range(3))
-            assert is_thin or reaches(shapes[i], *_grown(lower, upper, rounding[i])), f"a leaf lists {i}, which misses it"
+            is_thin = any(0 < upper[k] - lower[k] <= 2 * allowed[i][k] for k in range(3))
+            assert is_thin or reaches(shapes[i], *_grown(lower, upper, allowed[i])), f"a leaf lists {i}, which misses it"
         if any(low[k] == high[k] for k in range(3)):
             continue
         others = set(range(len(shapes))).difference(listed)

@@ -1,4 +1,4 @@
-"""The benchmark scenes at full size: visits, derived pre-fetches, tree quality against independent numbers."""
+"""The benchmark scenes at full size: visits, derived prefetches, tree quality against independent numbers."""
 
 import os
 
@@ -7,13 +7,14 @@ import pytest
 
 from cachesim.prefetch import parse_prefetch
 from cachesim.source import RunSource
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.catalog import load_scene
+from rtrace.shading import shadow_rays
 from rtrace.traverse import trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree, sah_cost
-from rtrace.trees.tree import LEAF
+from rtrace.trees.tree import LEAF_AXIS
 from rtrace.trees.tree_cache import TREES, build_tree
 from tests.reference.traversal import events_of, traverse
 from tests.rtrace.trees.test_bvh import sah_cost as bvh_cost
@@ -77,7 +78,7 @@ def test_the_bvh_is_as_good_as_an_independent_builder(name, record_property):
     errors = abs(len(tree.nodes) / nodes - 1), abs(bvh_cost(tree) / cost - 1)
     record_property("largest error", max(errors))
     assert max(errors) < 0.005
-    assert (tree.nodes["meta"] >> 2)[(tree.nodes["meta"] & 3) == LEAF].max() == largest
+    assert (tree.nodes["meta"] >> 2)[(tree.nodes["meta"] & 3) == LEAF_AXIS].max() == largest
     assert abs(tree.max_level - depth) <= (name == "conference")
 
 
@@ -109,7 +110,7 @@ def cells_of(tree):
     cells[0] = tree.bounds
     here = np.array([0])
     while here.size:
-        here = here[(meta[here] & 3) != LEAF]
+        here = here[(meta[here] & 3) != LEAF_AXIS]
         axis, child = (meta[here] & 3).astype(int), (meta[here] >> 2).astype(int)
         assert (cells[here, 0, axis] <= split[here]).all() and (split[here] <= cells[here, 1, axis]).all()
         cells[child] = cells[child + 1] = cells[here]
@@ -129,7 +130,7 @@ def test_the_cost_of_a_kdtree_is_the_sum_over_its_cells(kdtree_and_cells, record
     """From the nodes alone: 1.5 an inner node, 2 a triangle, each by the area of its cell over that of the scene."""
     tree, cells = kdtree_and_cells
     x, y, z = (cells[:, 1] - cells[:, 0]).T
-    area, is_leaf, count = x * y + y * z + z * x, (tree.nodes["meta"] & 3) == LEAF, tree.nodes["meta"] >> 2
+    area, is_leaf, count = x * y + y * z + z * x, (tree.nodes["meta"] & 3) == LEAF_AXIS, tree.nodes["meta"] >> 2
     cost = float((area * np.where(is_leaf, 2.0 * count, 1.5)).sum() / area[0])
     error = abs(sah_cost(tree, 1.5, 2.0) / cost - 1)
     record_property("largest error", error)
@@ -144,7 +145,7 @@ def test_leaves_list_the_triangles_that_reach_into_them(kdtree_and_cells, record
     Tolerance: two float32 steps at the scene's largest coordinate.
     """
     tree, cells = kdtree_and_cells
-    leaves = np.flatnonzero((tree.nodes["meta"] & 3) == LEAF)
+    leaves = np.flatnonzero((tree.nodes["meta"] & 3) == LEAF_AXIS)
     corners = tree.triangles.astype(np.float64)
     lower, upper = corners.min(axis=1), corners.max(axis=1)
     step = 2 * float(np.spacing(np.abs(tree.bounds).max()))
@@ -181,7 +182,7 @@ def test_points_of_triangles_lie_in_leaves_that_list_them(kdtree_and_cells, reco
     is_found = np.zeros(len(points), bool)
     node, point = np.zeros(len(points), int), np.arange(len(points))
     while node.size:
-        at_leaf = (meta[node] & 3) == LEAF
+        at_leaf = (meta[node] & 3) == LEAF_AXIS
         for leaf, which in zip(node[at_leaf], point[at_leaf], strict=True):
             first, count = int(tree.nodes[leaf]["first"]), int(meta[leaf] >> 2)
             is_found[which] |= owner[which] in tree.prims[first : first + count]

@@ -1,4 +1,4 @@
-"""Numbers at the borders of their types, chunks and stacks: 8192 pixels, 2^32 rows and addresses, 2^24 misses, depth 64."""
+"""Numbers at the limits of their types, chunks and stacks: 8192 pixels, 2^32 rows and addresses, 2^24 misses, depth 64."""
 
 import csv
 import io
@@ -15,6 +15,7 @@ from cachesim.replay import replay
 from cachesim.report import replay_tables, sweep_output
 from cachesim.result import Result
 from cachesim.sweep import sweep
+from nptrace_base.errors import NptraceError
 from nptrace_base.tables import to_markdown
 from rtrace import render as rendering
 from rtrace.camera import Camera
@@ -84,7 +85,7 @@ def test_the_first_access_of_a_ray_goes_beyond_32_bits(tmp_path, monkeypatch):
         for _ in range(3):
             rays = {"ray": np.arange(2, dtype=np.uint32), "first": np.array([0, 1 << 31], np.uint64)}
             accesses = {"ray": Rows((1 << 31) + 5), "node": None, "kind": None}
-            yield Chunk(rays, accesses, np.arange(2), np.zeros((2, 3), np.uint8), 5, 2, 0, 0)
+            yield Chunk(rays, accesses, np.arange(2), np.zeros((2, 3), np.uint8), 5, 2, 0, 0, True)
 
     monkeypatch.setattr(rendering, "RunWriter", Writer)
     monkeypatch.setattr(rendering, "chunks", chunks)
@@ -112,23 +113,25 @@ def test_nodes_on_both_sides_of_address_2_32(tmp_path, kind, base):
 
 
 def test_the_last_addresses_of_a_din_trace(tmp_path):
-    """An access that would go beyond the last byte ends there, and no address is taken for another."""
+    """The last byte is an address like any other; an access that would go beyond it is refused."""
     last = (1 << 32) - 1
     records = [
         (last, 1, 0),
         (last - 3, 4, 0),
-        (last, 40, 0),
         (0, 1, 0),
         (last - 63, 64, 0),
         (1 << 31, 4, 11),
         (0x7FFFFFFF, 4, 0),
     ]
     (tmp_path / "x.din").write_bytes(b"".join(struct.pack("<IHBB", *record, 0) for record in records))
-    accesses = pieces([(address, min(size, last + 1 - address), label) for address, size, label in records], 16)
+    accesses = pieces(records, 16)
     [result] = replay(tmp_path / "x.din", [CacheConfig(32, 1, 16)])
     model = Cache(result.config).replay(accesses)
     assert result.accesses.tolist() == model.counts["accesses"]
     assert result.misses.tolist() == model.counts["misses"]
+    (tmp_path / "far.din").write_bytes(struct.pack("<IHBB", last, 40, 0, 0))
+    with pytest.raises(NptraceError, match=r"record 1: 40 B at ffffffff reach past 2\^32"):
+        replay(tmp_path / "far.din", [CacheConfig(32, 1, 16)])
     (tmp_path / "text.din").write_text("0 ffffffff\n0 fffffffc\n0 0\n0 80000000\n0 7fffffff\n")
     [result] = replay(tmp_path / "text.din", [CacheConfig(16, 4, 4)])
     assert (result.demand_accesses, result.demand_misses) == (5, 4)

@@ -1,4 +1,4 @@
-"""Memory of tracing is bounded whatever the rays visit; a run's bytes do not depend on how its chunks were cut for that."""
+"""Memory of tracing is bounded whatever the rays visit; a run's bytes do not depend on how its chunks were cut."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What must not change with the way of asking: units, axes, mirrors, orders and copies of a scene; and garbage as a scene."""
+"""Invariance under units, axes, mirrors, orders and copies of a scene; and random bits as a scene."""
 
 from itertools import permutations, product
 

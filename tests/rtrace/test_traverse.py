@@ -69,7 +69,7 @@ def test_visits_equal_the_reference(scene, builder, any_hit):
 
 
 def test_more_than_eight_nodes_wait_at_a_leaf():
-    """A ray along a pile of triangles pushes at every level; requests are copied by eights."""
+    """A ray along a pile of triangles pushes at every level."""
     triangles = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], np.float32) + np.zeros((4096, 1, 1), np.float32)
     triangles[:, :, 2] = np.arange(4096)[:, None]
     tree = build_bvh(triangles)
@@ -233,7 +233,7 @@ def test_margins_are_those_of_the_reference():
         if not direction.any():
             continue
         seen = Seen(tree, origin.tolist(), direction.tolist())
-        pads = margins(tree.core.reshape(-1), *origin, *direction, *seen.inverse)
+        pads = margins(tree.core.reshape(-1), tuple(origin), tuple(direction), tuple(seen.inverse))
         signed = np.copysign(pads, seen.inverse)
         assert (origin + signed).tolist() == seen.near and (origin - signed).tolist() == seen.far
 

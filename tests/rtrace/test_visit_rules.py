@@ -1,4 +1,4 @@
-"""What a visit does not depend on: the sign of a zero, how chunks are cut; and what is no ray visits nothing."""
+"""What a visit does not depend on: the sign of a zero, how chunks are cut; and invalid rays hit nothing."""
 
 import itertools
 

@@ -61,23 +61,23 @@ def test_text_in_any_dress_and_any_chunks(tmp_path_factory, trace, dress, chunk)
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("0 10\n1 14\n", "x.din, line 2: label 1 is a write, and nodes are read-only; labels are 0 (read), 2"),
-        ("0 10\n\n4 14\n", "line 3: label 4 is a copy-back, and nodes are read-only"),
-        ("8 10\n", "line 1: label 8 is DineroIV's end mark"),
-        ("0 10\n# comment\n", "line 2: label # is not hexadecimal"),
-        ("r 10 4\n", "line 1: label r is of DineroIV's extended format (-informat D), which is not read"),
-        ("c 10 4\n", "line 1: label c is of DineroIV's extended format"),
-        ("5 10\n", "line 1: label 5 is an invalidation, and nothing invalidates nodes"),
-        ("s 10\n", "line 1: label s is not hexadecimal"),
-        ("0x 10\n", "line 1: label 0x is not hexadecimal"),
-        ("0xc 10\n", "line 1: label 0xc is unknown"),
-        ("0\n", "line 1: the address is missing; write `label address`, as in `0 1a2b40`"),
+        ("0 10\n1 14\n", "x.din, line 2: access type 1 is a write, and nodes are read-only; access types are 0 (read), 2"),
+        ("0 10\n\n4 14\n", "line 3: access type 4 is a copy-back, and nodes are read-only"),
+        ("8 10\n", "line 1: access type 8 is DineroIV's end mark"),
+        ("0 10\n# comment\n", "line 2: access type # is not hexadecimal"),
+        ("r 10 4\n", "line 1: access type r is of DineroIV's extended format (-informat D), which is not read"),
+        ("c 10 4\n", "line 1: access type c is of DineroIV's extended format"),
+        ("5 10\n", "line 1: access type 5 is an invalidation, and nothing invalidates nodes"),
+        ("s 10\n", "line 1: access type s is not hexadecimal"),
+        ("0x 10\n", "line 1: access type 0x is not hexadecimal"),
+        ("0xc 10\n", "line 1: access type 0xc is unknown"),
+        ("0\n", "line 1: the address is missing; write `type address`, as in `0 1a2b40`"),
         ("0 xyz\n", "line 1: 'xyz' is not a hexadecimal address"),
         ("0 12g4\n", "line 1: '12g4' is not a hexadecimal address"),
         ("0 0x\n", "line 1: '0x' is not a hexadecimal address"),
         ("0 1ffffffff\n", "line 1: address 1ffffffff has more than 32 bits"),
-        ("b10 4\n", "line 1: label b10 is unknown"),
-        ("00000000b 4\n", "line 1: label 00000000b is unknown"),
+        ("b10 4\n", "line 1: access type b10 is unknown"),
+        ("00000000b 4\n", "line 1: access type 00000000b is unknown"),
     ],
 )
 def test_what_text_is_refused(tmp_path, text, message):
@@ -89,13 +89,13 @@ def test_what_text_is_refused(tmp_path, text, message):
 
 def test_the_line_number_counts_all_chunks(tmp_path, monkeypatch):
     monkeypatch.setattr(din, "_CHUNK_BYTES", 64)
-    with pytest.raises(DinError, match="line 1001: label 1 is a write"):
+    with pytest.raises(DinError, match="line 1001: access type 1 is a write"):
         read(text_of(tmp_path, "0 1234\n" * 1000 + "1 10\n"))
 
 
 def test_a_control_character_is_no_label(tmp_path):
     (tmp_path / "x.din").write_bytes(b"0 10\n\x1c\n")
-    with pytest.raises(DinError, match="line 2: label '.x1c' is not hexadecimal"):
+    with pytest.raises(DinError, match="line 2: access type '.x1c' is not hexadecimal"):
         list(din.DinTrace(tmp_path / "x.din").batches())
 
 
@@ -127,15 +127,15 @@ def test_binary(tmp_path_factory, records):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (struct.pack("<IHBB", 16, 4, 0, 0) * 2 + b"\0\0\0", "is cut off: its size is not a whole number of 8-byte records"),
-        (struct.pack("<IHBB", 16, 4, 0, 0) + struct.pack("<IHBB", 16, 4, 1, 0), "record 2: label 1 is a write"),
+        (struct.pack("<IHBB", 16, 4, 0, 0) * 2 + b"\0\0\0", "is truncated: its size is not a whole number of 8-byte records"),
+        (struct.pack("<IHBB", 16, 4, 0, 0) + struct.pack("<IHBB", 16, 4, 1, 0), "record 2: access type 1 is a write"),
         (struct.pack("<IHBB", 16, 0, 0, 0), "record 1: a size of 0 B reads nothing"),
         (
             struct.pack("<IHBB", 16, 4, 0, 0) + struct.pack("<IHBB", 0xFFFFFFFC, 5, 0, 0),
-            "record 2: 5 B at fffffffc reach past 2^32, where DineroIV goes on at 0; rebase the trace, or split",
+            "record 2: 5 B at fffffffc reach past 2^32, where DineroIV wraps to 0; rebase the trace, or split",
         ),
-        (struct.pack("<IHBB", 16, 4, 4, 0), "record 1: label 4 is a copy-back, and nodes are read-only"),
-        (struct.pack("<IHBB", 16, 4, 12, 0), "record 1: label c is unknown"),
+        (struct.pack("<IHBB", 16, 4, 4, 0), "record 1: access type 4 is a copy-back, and nodes are read-only"),
+        (struct.pack("<IHBB", 16, 4, 12, 0), "record 1: access type c is unknown"),
     ],
 )
 def test_what_binary_is_refused(tmp_path, data, message):
@@ -194,13 +194,13 @@ def test_an_export_that_does_not_fit_or_cannot_be_written(tmp_path):
     trace = make_trace("kdtree", 2, n_rays=2)
     run = write(trace, tmp_path / "bunny-kdtree")
     high = np.arange(len(trace.parent), dtype=np.int64) * 8 + (1 << 32) - 16
-    with pytest.raises(DinError, match="a DineroIV trace holds 32 bits, so move the layout down"):
+    with pytest.raises(DinError, match="a DineroIV trace has 32 bits, so move the layout down"):
         export_din(run, tmp_path / "x.din", addresses=high)
-    with pytest.raises(NptraceError, match=r"cannot write .*no/x\.din: there is no folder .*no; name another file"):
+    with pytest.raises(NptraceError, match=r"cannot write .*no/x\.din: there is no folder .*; name another file"):
         export_din(run, tmp_path / "no" / "x.din")
     with pytest.raises(DinError, match="'xml' is not a format"):
         export_din(run, tmp_path / "x.din", fmt="xml")
-    with pytest.raises(DinError, match="'write' is not a label for pre-fetches; choose one of b, read, misc, omit"):
+    with pytest.raises(DinError, match="'write' is not an access type for prefetches; choose one of b, read, misc, omit"):
         export_din(run, tmp_path / "x.din", prefetch="write")
     assert [path.name for path in tmp_path.iterdir()] == ["bunny-kdtree"]
 
@@ -209,7 +209,7 @@ def test_a_trace_has_no_nodes(tmp_path):
     path = text_of(tmp_path, "0 10\n")
     with pytest.raises(ValueError, match="no stack can be rebuilt for stack:unlimited; use traced, none or next-line"):
         replay(path, GRID, prefetch="stack")
-    with pytest.raises(ValueError, match="has addresses, not nodes, so it cannot be laid out as veb"):
+    with pytest.raises(ValueError, match="has addresses, not nodes, so it cannot use the layout veb"):
         replay(path, GRID, layout="veb")
 
 

@@ -1,4 +1,4 @@
-"""The run on disk: what is written is read, whole or not at all, and every kind of damage is named."""
+"""The run on disk: what is written is read, complete or not at all, and every kind of damage is reported."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Values of a run that cannot be: one sentence that names file, column, row and rule, from all that reads runs."""
+"""Impossible values in a run: one sentence that names file, column, row and rule, from every reader of runs."""
 
 import numpy as np
 import pyarrow as pa
@@ -108,7 +108,7 @@ def test_two_pairs_of_one_parent(run):
     ("column", "row", "value", "said"),
     [
         ("ray", 2, 3, "3 breaks the rule that a ray's number is its row"),
-        ("x", 1, 1, "column 'x', row 1: 1 breaks the rule that it is below 1, as the footer says"),
+        ("x", 1, 1, "column 'x', row 1: 1 breaks the rule that it is below 1, the footer's value"),
         ("y", 1, 30, "column 'y', row 1: 30 breaks the rule that it is below 30"),
         ("type", 4, 2, "2 breaks the rule that a type is 0 (primary) or 1 (shadow)"),
         ("first", 4, 0, "column 'first', row 4: 0 breaks the rule that a ray's accesses begin where those of the ray before"),

@@ -1,4 +1,4 @@
-"""Traces as people have them: from pipes and stdin, packed, in other encodings; opened once; names that are no text."""
+"""Traces from practice: from pipes and stdin, compressed, in other encodings; opened once; names that are not text."""
 
 import bz2
 import gzip
@@ -86,13 +86,16 @@ def test_a_fifo_is_read_once(tmp_path, dress):
 def test_what_reads_twice_says_so_of_a_pipe_before_it_reads(tmp_path):
     writer = through_a_pipe(tmp_path / "in.din", TEXT)
     result = CliRunner().invoke(cli.npcache, ["replay", str(tmp_path / "in.din"), "--prefetch", "none,traced"])
-    assert result.exit_code == 2 and "in.din is a pipe, and this reads it 2 times: write it to a file first" in result.stderr
+    assert (
+        result.exit_code == 2
+        and "in.din is a pipe, and this command reads it 2 times; write it to a file first" in result.stderr
+    )
     writer.join(10)
     trace = DinTrace(pipe_of(TEXT))
     assert sum(batch[0].size for batch in trace.batches()) == 4
-    with pytest.raises(StreamError, match="is a pipe, and this reads it 2 times"):
+    with pytest.raises(StreamError, match="is a pipe, and this command reads it 2 times"):
         next(trace.batches())
-    with pytest.raises(StreamError, match="is a pipe, and this reads it 2 times"):
+    with pytest.raises(StreamError, match="is a pipe, and this command reads it 2 times"):
         replay(pipe_of(TEXT), [CacheConfig(512, 2, 32, "opt")], threads=1)
 
 
@@ -134,8 +137,8 @@ def test_commands_read_pipes_and_stdin(tmp_path):
         (b"", "x holds no access"),
         (b"\n" * 9000, "x holds no access"),
         (gzip.compress(b""), "x holds no access"),
-        (b"\r" * 5000 + b"0 10\r4 10\r", "x, line 5002: label 4 is a copy-back"),
-        (b"0 10\r\n\n\r\r\n4 10\r", "x, line 5: label 4"),
+        (b"\r" * 5000 + b"0 10\r4 10\r", "x, line 5002: access type 4 is a copy-back"),
+        (b"0 10\r\n\n\r\r\n4 10\r", "x, line 5: access type 4"),
     ],
 )
 def test_what_is_refused(tmp_path, data, said):
@@ -151,7 +154,7 @@ def test_line_ends_that_chunks_cut(tmp_path, monkeypatch, chunk):
     text = b"".join(b"0 %x" % (4 * k) + (b"\r\n", b"\r", b"\n", b"\r\r\n")[k % 4] for k in range(200))
     (tmp_path / "x").write_bytes(text + b"4 10")
     addresses = []
-    with pytest.raises(StreamError, match="line 251: label 4"):
+    with pytest.raises(StreamError, match="line 251: access type 4"):
         addresses += [int(a) for batch in DinTrace(tmp_path / "x").batches() for a in batch[0]]
 
 
@@ -210,14 +213,14 @@ def test_two_forms_at_once_are_refused(command, tmp_path):
     result = CliRunner().invoke(cli.npcache, [command[0], *source, *command[1:], "--json"])
     assert (
         result.exit_code == 2
-        and result.stderr == f"Error: {command[1]} {command[2]} and --json ask for two forms; leave one out\n"
+        and result.stderr == f"Error: {command[1]} {command[2]} and --json ask for two formats; leave one out\n"
     )
 
 
 def test_an_export_warns_where_dinero_counts_wrongly(tmp_path):
     run = write(make_trace("bvh", 2, n_rays=4), tmp_path / "a-bvh")
     for fmt, prefetch, said in (
-        ("binary", "b", "with lines shorter than 32 B, pre-fetches of 32 B span two"), ("binary", "read", ""),
+        ("binary", "b", "with lines shorter than 32 B, prefetches of 32 B span two"), ("binary", "read", ""),
         ("text", "b", ""),
     ):  # fmt: skip
         heard = []

@@ -1,1 +1,1 @@
-"""The kinds of mesh files, one reader each: the bytes of a file -> its vertices and triangles."""
+"""One reader for each mesh format: the bytes of a file -> its vertices and triangles."""

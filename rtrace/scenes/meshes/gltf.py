@@ -1,7 +1,7 @@
-"""glTF 2.0 and GLB: the triangles of the default scene as they stand at rest, each moved to its place.
+"""glTF 2.0 and GLB: the triangles of the default scene at rest, each in its place.
 
-Read here because no reader in Python does: trimesh leaves out morph targets, skins, instances, hidden nodes, sparse accessors,
-fans and quantized vertices, and pygltflib makes no shape.
+This reader exists because others in Python leave out parts of the format that change the shape: morph targets, skins,
+instances, hidden nodes, sparse accessors, fans or quantized vertices.
 """
 
 from pathlib import Path
@@ -14,10 +14,10 @@ from rtrace.scenes.meshes.raw import MeshError, RawMesh
 
 INSTANCES, VISIBILITY, DRACO = "EXT_mesh_gpu_instancing", "KHR_node_visibility", "KHR_draco_mesh_compression"
 MAX_VERTICES = 1 << 28
-#: Extensions that are read, or change no shape; any other that a file *requires* is refused.
+#: Extensions that are read or do not change the shape; any other that a file *requires* is refused.
 _READ = (INSTANCES, VISIBILITY, "KHR_mesh_quantization")
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_", "KHR_xmp", "KHR_audio", "EXT_lights_")
-#: Where an extension that is not known may change the shape, and those found there that do not.
+#: Places where an unknown extension may change the shape, and known ones that do not.
 _NO_SHAPE: tuple[str, ...] = ("EXT_mesh_features", "EXT_structural_metadata", "EXT_instance_features", "KHR_physics_")
 _NO_SHAPE += (
     "KHR_node_selectability",
@@ -32,18 +32,18 @@ _NO_SHAPE += (
 
 
 def read_gltf(data: bytes, path: Path) -> RawMesh:
-    """Read the default scene of a .gltf or .glb file, told apart by content. Raises MeshError."""
+    """Read the default scene of a .gltf or .glb file, distinguished by content. Raises MeshError."""
     reader = _Reader(GltfFile(data, path))
     for number in reader.in_scene():
         reader.add_node(number)
     if not reader.faces:
-        raise MeshError("no mesh with triangles is in its scene", "export a surface, not points or lines")
+        raise MeshError("its scene has no mesh with triangles", "export a surface, not points or lines")
     faces = np.concatenate(reader.faces)
     return RawMesh(np.concatenate(reader.vertices), np.full(len(faces), 3), faces.ravel(), tuple(reader.notes))
 
 
 class _Reader:
-    """The nodes of a file, and the triangles that were put together so far."""
+    """The nodes of a file, and the triangles collected so far."""
 
     def __init__(self, file: GltfFile) -> None:
         self.file = file
@@ -62,11 +62,11 @@ class _Reader:
             for child in node.numbers("children"):
                 file.at("nodes", child, node.name)
                 if child in self._parents or child == parent:
-                    raise MeshError(f"node {child} is the child of itself or of two nodes, which no tree has")
+                    raise MeshError(f"node {child} is the child of itself or of two nodes, which is not a tree")
                 self._parents[child] = parent
 
     def in_scene(self) -> list[int]:
-        """Return the numbers of the nodes of the default scene that are to be seen, parents before their children."""
+        """Return the numbers of the visible nodes of the default scene, parents before their children."""
         root = self.file.root
         scenes = list(self.file.all("scenes"))
         if scenes:
@@ -83,7 +83,7 @@ class _Reader:
             number = todo.pop()
             node = self.file.at("nodes", number, "its scene")
             if number in seen:
-                raise MeshError(f"node {number} stands in its scene twice, or within itself")
+                raise MeshError(f"node {number} is in its scene twice, or within itself")
             seen.add(number)
             if not node.item("extensions").item(VISIBILITY).flag("visible", True):
                 n_hidden += 1
@@ -95,11 +95,11 @@ class _Reader:
         return found
 
     def place(self, number: int) -> np.ndarray:
-        """Return the matrix, (4, 4) float64, that moves what is at a node to its place in the world."""
+        """Return the matrix, (4, 4) float64, that moves a node's content to its place in the world."""
         chain: dict[int, None] = {}
         while number not in self._places:
             if number in chain:
-                raise MeshError(f"node {number} is its own ancestor, which no tree has")
+                raise MeshError(f"node {number} is its own ancestor, which is not a tree")
             chain[number] = None
             if number not in self._parents:
                 break
@@ -139,12 +139,12 @@ class _Reader:
                     placed = [points @ place[:3, :3].T + place[:3, 3] for place in places]
             for corners in placed:
                 self.vertices.append(corners)
-                # A number beyond this mesh must not reach into the next one.
+                # A vertex number beyond this mesh must not refer to the next one.
                 self.faces.append(np.where(faces < len(corners), faces + self._count, -1))
                 self._count += len(corners)
 
     def _look_for_unknown(self, item: Item) -> None:
-        """Note an extension that may change the shape, once."""
+        """Note each extension that may change the shape once."""
         for name in item.item("extensions").keys():  # noqa: SIM118 - an Item is no dict
             if name not in (*_READ, DRACO) and not name.startswith(_NO_SHAPE):
                 note = f"the extension {name} ({item.name}, perhaps others) is not read and may change the shape"
@@ -152,7 +152,7 @@ class _Reader:
                     self.notes.append(note)
 
     def _instances(self, node: Item, place: np.ndarray) -> list[np.ndarray]:
-        """Return the places of a node's copies; its own if it is not instanced."""
+        """Return the places of a node's copies, or the node's place if it is not instanced."""
         if INSTANCES not in node.item("extensions"):
             return [place]
         attributes = node.item("extensions").item(INSTANCES).item("attributes")
@@ -162,7 +162,7 @@ class _Reader:
                 parts[name] = self.file.array(attributes.number(name), f"{name} of {node.name}", kind)
         counts = {len(part) for part in parts.values()}
         if len(counts) != 1:
-            raise MeshError(f"{INSTANCES} of {node.name} has no attributes, or some of different counts")
+            raise MeshError(f"{INSTANCES} of {node.name} has no attributes, or attributes of different counts")
         return [
             place @ _compose(node.name, *(parts[n][k] if n in parts else None for n in ("TRANSLATION", "ROTATION", "SCALE")))
             for k in range(counts.pop())
@@ -192,7 +192,7 @@ class _Reader:
         if mode < 4 or "POSITION" not in attributes:
             return None
         if mode > 6:
-            raise MeshError(f"{primitive.name} has mode {mode}, there are only those up to 6")
+            raise MeshError(f"{primitive.name} has mode {mode}; modes are 0 to 6")
         position = self.file.at("accessors", attributes.number("POSITION"), primitive.name)
         if DRACO in primitive.item("extensions") and "bufferView" not in position:
             raise MeshError(f"{primitive.name} is compressed by {DRACO}, which is not read", "export it without compression")
@@ -204,12 +204,12 @@ class _Reader:
         n = np.array([len(numbers)])
         if mode == 4:
             if len(numbers) % 3:
-                raise MeshError(f"{primitive.name} has {len(numbers)} vertex numbers, triangles need three each")
+                raise MeshError(f"{primitive.name} has {len(numbers)} vertex numbers, and triangles need three each")
             return numbers.reshape(-1, 3)
         return strips(n, numbers) if mode == 5 else fan(n, numbers)
 
     def _points(self, primitive: Item, weights: np.ndarray) -> np.ndarray:
-        """Return a primitive's vertices, (n, 3) float64, with its morph targets as they weigh at rest."""
+        """Return a primitive's vertices, (n, 3) float64, with its morph targets at their weights at rest."""
         points = self.file.array(primitive.item("attributes").number("POSITION"), primitive.name, "VEC3")
         targets = primitive.items("targets")
         if len(weights) > len(targets):
@@ -218,13 +218,13 @@ class _Reader:
             if weight and "POSITION" in target:
                 moves = self.file.array(target.number("POSITION"), f"a target of {primitive.name}", "VEC3")
                 if len(moves) != len(points):
-                    raise MeshError(f"a target of {primitive.name} has {len(moves)} vertices, there are {len(points)}")
+                    raise MeshError(f"a target of {primitive.name} has {len(moves)} vertices, not {len(points)}")
                 with np.errstate(invalid="ignore", over="ignore"):
                     points = points + weight * moves
         return points
 
     def _skinned(self, primitive: Item, points: np.ndarray, joints: np.ndarray) -> np.ndarray:
-        """Return vertices where their joints have them: the place of the mesh's own node does not count."""
+        """Return vertices where their joints put them; the place of the mesh's node does not count."""
         attributes = primitive.item("attributes")
         moved, total, first = np.zeros((len(points), 3)), np.zeros(len(points)), None
         k = 0
@@ -233,7 +233,7 @@ class _Reader:
             numbers = self.file.array(attributes.number(f"JOINTS_{k}"), user, "VEC4", integers=True)
             weights = self.file.array(attributes.number(f"WEIGHTS_{k}"), user, "VEC4")
             if len(numbers) != len(points) or len(weights) != len(points):
-                raise MeshError(f"{primitive.name} has {len(points)} vertices, but not so many joints and weights")
+                raise MeshError(f"{primitive.name} has {len(points)} vertices and other numbers of joints and weights")
             if numbers.size and numbers.max() >= len(joints):
                 raise MeshError(f"{primitive.name} names joint {numbers.max()} of its skin, which has {len(joints)}")
             with np.errstate(invalid="ignore", over="ignore"):
@@ -243,7 +243,7 @@ class _Reader:
                     total += weight
             first = numbers[:, 0] if first is None else first
             k += 1
-        unweighed = total == 0  # these go with their first joint
+        unweighed = total == 0  # these follow their first joint
         if unweighed.any() and first is not None:
             own = joints[first[unweighed]]
             moved[unweighed] = np.einsum("nij,nj->ni", own[:, :3, :3], points[unweighed]) + own[:, :3, 3]
@@ -252,7 +252,7 @@ class _Reader:
 
 
 def _matrix(node: Item) -> np.ndarray:
-    """Return a node's own matrix, (4, 4) float64."""
+    """Return a node's local matrix, (4, 4) float64."""
     if "matrix" in node:
         return node.reals("matrix", 16).reshape(4, 4).T
     parts = [node.reals(key, n) if key in node else None for key, n in (("translation", 3), ("rotation", 4), ("scale", 3))]
@@ -265,7 +265,7 @@ def _compose(name: str, move: np.ndarray | None, turn: np.ndarray | None, scale:
     if turn is not None:
         length = np.linalg.norm(turn)
         if not (np.isfinite(length) and length > 0):
-            raise MeshError(f"{name} has a rotation that is no quaternion: {turn.tolist()}")
+            raise MeshError(f"{name} has a rotation that is not a quaternion: {turn.tolist()}")
         x, y, z, w = turn / length
         matrix[0, :3] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
         matrix[1, :3] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)

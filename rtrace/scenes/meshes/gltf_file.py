@@ -23,39 +23,39 @@ _MOST_ZEROS = 1 << 26
 
 
 class Item:
-    """One JSON object of the file; what it is asked for is checked, and an error names it."""
+    """One JSON object of the file; every value read is checked, and an error names it."""
 
     def __init__(self, value: Any, name: str) -> None:
         if not isinstance(value, dict):
-            raise MeshError(f"{name} is {_brief(value)}, it must be an object")
+            raise MeshError(f"{name} is {_brief(value)} and must be an object")
         self._value, self.name = value, name
 
     def __contains__(self, key: str) -> bool:
         return key in self._value
 
     def keys(self) -> list[str]:
-        """Return the names of what is in it."""
+        """Return the names of its members."""
         return list(self._value)
 
     def number(self, key: str, default: int | None = None) -> int:
         """Return a whole number from 0."""
         value = self._value.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1 << 53 or value != int(value):
-            raise MeshError(f"{self.name} has {key} {_brief(value)}, it must be a whole number from 0")
+            raise MeshError(f"{self.name} has {key} {_brief(value)}; it must be a whole number from 0")
         return int(value)
 
     def text(self, key: str, default: str | None = None) -> str:
         """Return a string."""
         value = self._value.get(key, default)
         if not isinstance(value, str):
-            raise MeshError(f"{self.name} has {key} {_brief(value)}, it must be a string")
+            raise MeshError(f"{self.name} has {key} {_brief(value)}; it must be a string")
         return value
 
     def flag(self, key: str, default: bool) -> bool:
-        """Return a truth value."""
+        """Return a Boolean."""
         value = self._value.get(key, default)
         if not isinstance(value, bool):
-            raise MeshError(f"{self.name} has {key} {_brief(value)}, it must be true or false")
+            raise MeshError(f"{self.name} has {key} {_brief(value)}; it must be true or false")
         return value
 
     def item(self, key: str) -> "Item":
@@ -79,13 +79,13 @@ class Item:
         values = self._list(key)
         are_numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
         if not are_numbers or n not in (None, len(values)):
-            raise MeshError(f"{self.name} has {key} {_brief(values)}, it must be a list of {n or 'any'} numbers")
+            raise MeshError(f"{self.name} has {key} {_brief(values)}; it must be a list of {n or 'any'} numbers")
         return np.array([float(min(max(value, -1e300), 1e300)) for value in values], np.float64)
 
     def _list(self, key: str) -> list[Any]:
         value = self._value.get(key, [])
         if not isinstance(value, list):
-            raise MeshError(f"{self.name} has {key} {_brief(value)}, it must be a list")
+            raise MeshError(f"{self.name} has {key} {_brief(value)}; it must be a list")
         return value
 
 
@@ -97,7 +97,7 @@ def _brief(value: Any) -> str:
 
 
 class GltfFile:
-    """A glTF 2.0 file: ``root`` is its JSON; arrays are read as they are asked for."""
+    """A glTF 2.0 file: ``root`` is its JSON; arrays are read on demand."""
 
     def __init__(self, data: bytes, path: Path) -> None:
         if path.name.lower().removesuffix(".gz").endswith(".glb") and not data.startswith((b"glTF", b"{")):
@@ -110,14 +110,14 @@ class GltfFile:
         asset = self.root.item("asset")
         version = asset.text("minVersion", asset.text("version", "1.0 (it names no version)"))
         if not version.startswith("2."):
-            raise MeshError(f"it is glTF {version}, only 2.0 is read", "export glTF 2.0")
+            raise MeshError(f"it is glTF {version}; only 2.0 is read", "export glTF 2.0")
 
     def at(self, kind: str, number: int, user: str) -> Item:
         """Return the object of a kind ("nodes", "meshes", ...) that ``user`` names by its number."""
         if kind not in self._lists:
             self._lists[kind] = [Item(v, f"{_SINGULAR[kind]} {k}") for k, v in enumerate(self.root._list(kind))]
         if not number < len(self._lists[kind]):
-            raise MeshError(f"{user} names {_SINGULAR[kind]} {number}, the file has {len(self._lists[kind])}")
+            raise MeshError(f"{user} names {_SINGULAR[kind]} {number}; the file has {len(self._lists[kind])}")
         return self._lists[kind][number]
 
     def all(self, kind: str) -> Iterator[Item]:
@@ -126,9 +126,9 @@ class GltfFile:
             yield self.at(kind, number, "the file")
 
     def array(self, number: int, user: str, kind: str, integers: bool = False) -> np.ndarray:
-        """Return an accessor's values, (count, components): float64, or what is stored if ``integers``.
+        """Return an accessor's values, (count, components): float64, or the stored type with ``integers``.
 
-        ``kind`` is the type that it must have: SCALAR, VEC3, VEC4 or MAT4.
+        ``kind`` is its required type: SCALAR, VEC3, VEC4 or MAT4.
         """
         accessor = self.at("accessors", number, user)
         count, stored = accessor.number("count"), _COMPONENTS.get(accessor.number("componentType"))
@@ -156,10 +156,10 @@ class GltfFile:
         where, what = sparse.item("indices"), sparse.item("values")
         stored = _COMPONENTS.get(where.number("componentType"))
         if stored is None or stored.kind != "u":
-            raise MeshError(f"{where.name} has componentType {where.number('componentType')}, it must be unsigned")
+            raise MeshError(f"{where.name} has componentType {where.number('componentType')}; it must be unsigned")
         at = self._view(where, stored, count, 1)[:, 0]
         if at.size and at.max() >= len(values):
-            raise MeshError(f"{where.name} has number {at.max()}, there are {len(values)} values")
+            raise MeshError(f"{where.name} has number {at.max()}; there are {len(values)} values")
         values = values.copy()
         values[at] = self._view(what, values.dtype, count, values.shape[1])
         return values
@@ -173,11 +173,11 @@ class GltfFile:
         data = self._buffer(view.number("buffer"), view.name)
         start, size = view.number("byteOffset", 0), view.number("byteLength")
         if start + size > len(data):
-            raise MeshError(f"{view.name} ends at byte {start + size:,} of a buffer of {len(data):,}: it is cut off")
+            raise MeshError(f"{view.name} ends at byte {start + size:,} of a buffer of {len(data):,}: it is truncated")
         row = width * stored.itemsize
         offset, stride = user.number("byteOffset", 0), view.number("byteStride", row) or row
         if stride < row:
-            raise MeshError(f"{view.name} has byteStride {stride}, {user.name} has {row} bytes in each")
+            raise MeshError(f"{view.name} has byteStride {stride}; {user.name} has elements of {row} bytes")
         end = offset + stride * (count - 1) + row if count else 0
         if end > size:
             raise MeshError(f"{user.name} ends at byte {end:,} of {view.name}, which has {size:,}")
@@ -197,7 +197,7 @@ class GltfFile:
                 raise MeshError(f"{buffer.name} has neither uri nor binary chunk")
             size = buffer.number("byteLength")
             if size > len(data):
-                raise MeshError(f"{buffer.name} has {len(data):,} bytes of the {size:,} promised: it is cut off")
+                raise MeshError(f"{buffer.name} has {len(data):,} bytes of the {size:,} promised: it is truncated")
             self._buffers[number] = data[:size]
         return self._buffers[number]
 
@@ -217,7 +217,7 @@ class GltfFile:
             shown = show(uri.encode())
             raise MeshError(f"{name} is {shown}; only data: URIs and files beside it are read", "put the file beside it")
         beside = self._folder / unquote(uri)
-        if not beside.is_file() and (self._folder / uri).is_file():  # a name that was not encoded
+        if not beside.is_file() and (self._folder / uri).is_file():  # a name without percent-encoding
             beside = self._folder / uri
         try:
             return beside.read_bytes()
@@ -235,18 +235,18 @@ _SINGULAR |= {"bufferViews": "bufferView", "buffers": "buffer"}
 def _split_glb(data: bytes) -> tuple[bytes, bytes | None]:
     """Return the JSON chunk and the binary chunk of a GLB file."""
     if len(data) < 20:
-        raise MeshError(f"it is cut off after {len(data)} bytes, within its header")
+        raise MeshError(f"it is truncated after {len(data)} bytes, within its header")
     version, length = struct.unpack("<II", data[4:12])
     if version != 2:
-        raise MeshError(f"it is GLB version {version}, only 2 is read", "export glTF 2.0")
+        raise MeshError(f"it is GLB version {version}; only 2 is read", "export glTF 2.0")
     if length > len(data):
-        raise MeshError(f"its header promises {length:,} bytes, it has {len(data):,}: it is cut off")
+        raise MeshError(f"its header promises {length:,} bytes, and it has {len(data):,}: it is truncated")
     chunks = []
     at = 12
     while at + 8 <= length:
         size, kind = struct.unpack("<I4s", data[at : at + 8])
         if at + 8 + size > length:
-            raise MeshError(f"its chunk at byte {at} promises {size:,} bytes, {length - at - 8:,} are left: it is cut off")
+            raise MeshError(f"its chunk at byte {at} promises {size:,} bytes; {length - at - 8:,} are left: it is truncated")
         chunks.append((kind, data[at + 8 : at + 8 + size]))
         at += 8 + size
     if not chunks or chunks[0][0] != b"JSON":
@@ -262,4 +262,4 @@ def _parse(text: bytes) -> Any:
     except json.JSONDecodeError as error:
         raise MeshError(f"line {error.lineno}, column {error.colno}: it is not JSON ({error.msg})") from None
     except (RecursionError, ValueError):  # lists in lists in lists; a number of more than 4300 digits
-        raise MeshError("its JSON is nested too deep or has a number that is too long") from None
+        raise MeshError("its JSON is nested too deeply or has a number that is too long") from None

@@ -1,4 +1,4 @@
-"""Wavefront OBJ: its ``v`` and ``f`` lines; materials, normals, textures, points and lines are passed over."""
+"""Wavefront OBJ: its ``v`` and ``f`` lines; materials, normals, textures, points and lines are ignored."""
 
 from pathlib import Path
 
@@ -7,12 +7,12 @@ import numpy as np
 from rtrace.scenes.meshes.raw import MeshError, RawMesh, show
 from rtrace.scenes.meshes.text import Text
 
-#: Statements that have shape but no polygons of their own, and what they are.
+#: Statements that describe a shape without polygons, and their kind.
 _UNREAD = dict.fromkeys((b"surf", b"curv", b"curv2", b"bzp", b"bsp", b"cdc", b"cdp"), "free-form")
 _UNREAD |= dict.fromkeys((b"call", b"csh"), "in another file")
-#: Lines that are passed over unread, often most of a file.
+#: Lines that are skipped unread, often most of a file.
 _SKIPPED = (b"vn ", b"vt ")
-#: Statements whose last word is a name, in which a backslash is seldom meant to continue the line.
+#: Statements whose last word is a name, in which a backslash seldom continues the line.
 _NAMES = frozenset((b"g", b"o", b"usemtl", b"mtllib", b"usemap", b"maplib"))
 
 
@@ -40,7 +40,7 @@ def read_obj(data: bytes, path: Path) -> RawMesh:
         elif key in _UNREAD:
             unread.setdefault(key, line)
         elif key in _NAMES and line in text.joined:
-            notes.append(f"line {line} ends with a backslash: the next line is part of {show(key)} and not read by itself")
+            notes.append(f"line {line} ends with a backslash: the next line is part of {show(key)} and is not read separately")
     for key, line in unread.items():
         what = f"line {line}: {show(key)} has a shape that is {_UNREAD[key]} and not read"
         if not face_lines:
@@ -51,7 +51,7 @@ def read_obj(data: bytes, path: Path) -> RawMesh:
         corner_words = [word.partition(b"/")[0] for word in corner_words]
     ends = np.cumsum(lengths)
     numbers = text.whole_numbers(corner_words, lambda k: f"line {face_lines[np.searchsorted(ends, k, 'right')]}")
-    # Numbers count from 1; negative ones backwards from the latest vertex. 0 is none and becomes -1, out of range.
+    # Numbers count from 1; negative ones backwards from the latest vertex. 0 is invalid and becomes -1, out of range.
     corners = numbers - 1
     if numbers.size and numbers.min() < 0:
         known = np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))  # vertices above each face
@@ -61,5 +61,5 @@ def read_obj(data: bytes, path: Path) -> RawMesh:
 
 
 def _few(notes: list[str], most: int = 3) -> tuple[str, ...]:
-    """Return the first notes, and how many more there are."""
+    """Return the first notes, and the number of the others."""
     return tuple(notes) if len(notes) <= most else (*notes[:most], f"{len(notes) - most} more lines like these")

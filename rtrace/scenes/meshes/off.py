@@ -1,4 +1,4 @@
-"""OFF as Geomview writes it, and as others do: normals, colours and texture coordinates are passed over."""
+"""OFF as Geomview writes it, and in other dialects: normals, colours and texture coordinates are ignored."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 from rtrace.scenes.meshes.raw import MeshError, RawMesh, show
 from rtrace.scenes.meshes.text import Text
 
-#: The keyword in any case; what is glued to it (as in ModelNet's files) is the first count.
+#: The keyword in any case; anything joined to it (as in ModelNet's files) is the first count.
 _KEYWORD = re.compile(rb"(?:ST)?C?N?(4?)OFF(.*)", re.IGNORECASE)
 
 
@@ -23,11 +23,11 @@ def read_off(data: bytes, path: Path) -> RawMesh:
     if keyword:
         if keyword[1] or b"nOFF" in words[0]:
             raise MeshError(
-                f"line {line}: {show(words[0])} has vertices of other than three coordinates", "export OFF, not 4OFF or nOFF"
+                f"line {line}: {show(words[0])} does not have vertices of three coordinates", "export OFF, not 4OFF or nOFF"
             )
         words = [*([keyword[2]] if keyword[2] else []), *words[1:]]
         if words and words[0].upper() == b"BINARY":
-            raise MeshError(f"line {line}: it is binary OFF, of which no two programs agree", "export text OFF or PLY")
+            raise MeshError(f"line {line}: it is binary OFF, which every program writes differently", "export text OFF or PLY")
         if words:
             rows[0] = line, words
         else:
@@ -41,11 +41,11 @@ def read_off(data: bytes, path: Path) -> RawMesh:
     n_rows = len(rows) - 1
     if n_vertices < 0 or n_faces < 0 or n_rows < n_vertices + n_faces:
         raise MeshError(
-            f"line {line} promises {n_vertices} vertices and {n_faces} faces, but {n_rows} lines follow: it is cut off"
+            f"line {line} promises {n_vertices} vertices and {n_faces} faces, but {n_rows} lines follow: it is truncated"
         )
     notes = []
     if n_rows > n_vertices + n_faces:
-        notes.append(f"line {rows[1 + n_vertices + n_faces][0]} and those after it are beyond the promised faces and not read")
+        notes.append(f"line {rows[1 + n_vertices + n_faces][0]} and later ones are beyond the promised faces and are not read")
     for line, words in rows[1 : 1 + n_vertices]:
         if len(words) < 3:
             raise MeshError(f"line {line}: vertex {show(b' '.join(words))} has fewer than three coordinates")

@@ -12,7 +12,7 @@ from rtrace.scenes.meshes.text import Text, plain_text
 
 _OLD_NAMES = dict(char="i1", uchar="u1", short="i2", ushort="u2", int="i4", uint="u4", float="f4", double="f8")
 _NEW_NAMES = dict(int8="i1", uint8="u1", int16="i2", uint16="u2", int32="i4", uint32="u4", float32="f4", float64="f8")
-#: The names of PLY's number types as NumPy writes them; those of 64 bits are what programs based on NumPy add.
+#: PLY's number types as NumPy names them; programs based on NumPy add the 64-bit types.
 _TYPES = {name.encode(): code for name, code in (_OLD_NAMES | _NEW_NAMES | dict(int64="i8", uint64="u8")).items()}
 _ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 _LINE_END = re.compile(rb"\r\n|\n|\r")
@@ -31,7 +31,7 @@ class _Element(NamedTuple):
 
 
 class _Body:
-    """What stands after the header of a PLY file, read from front to back."""
+    """The body of a PLY file, read from front to back."""
 
     def __init__(self, numbers: bytes) -> None:
         self.rest = memoryview(numbers)
@@ -40,7 +40,7 @@ class _Body:
         """Return the next n values."""
         size = n * dtype.itemsize
         if size > len(self.rest):
-            raise MeshError(f"it ends before all that its header promises, in {element}: it is cut off")
+            raise MeshError(f"it ends before all that its header promises, in {element}: it is truncated")
         values, self.rest = np.frombuffer(self.rest[:size], dtype), self.rest[size:]
         return values
 
@@ -51,7 +51,7 @@ class _Body:
     def _length(self, dtype: np.dtype, element: str) -> int:
         length = self.take(dtype, 1, element)[0]
         if not (0 <= length < 1 << 31 and length == int(length)):
-            raise MeshError(f"{element} has a list of length {length}, it must be a whole number from 0")
+            raise MeshError(f"{element} has a list of length {length}; it must be a whole number from 0")
         return int(length)
 
     def elements(self, element: _Element) -> dict[bytes, tuple[np.ndarray, np.ndarray]]:
@@ -61,7 +61,7 @@ class _Body:
         start = self.rest
         sizes = [values.size for values in self.next_element(properties, f"{label} number 0")]
         self.rest = start
-        # Nearly always all lists are as long as those of the first element: then all is one array of records.
+        # Nearly always all lists are as long as the first element's: then the body is one array of records.
         fields: list[tuple] = []
         for k, (p, size) in enumerate(zip(properties, sizes, strict=True)):
             fields += [(f"length {k}", p.length)] if p.length is not None else []

@@ -1,7 +1,7 @@
 """Polygons -> triangles: a fan from the first corner where that is right, ears cut (mapbox-earcut) where it is not.
 
 A fan is right if its triangles, seen along the polygon's normal, all turn the same way and go round the first corner once at
-most; all convex polygons are so. Else it would cover a notch of the polygon.
+most; this holds for all convex polygons. Otherwise the fan covers a notch of the polygon.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ def fan(lengths: np.ndarray, corners: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     lengths : (n,) int
-        Corners of each polygon; those with fewer than three give nothing.
+        Corners of each polygon; those with fewer than three give no triangle.
     corners : (sum(lengths),) int
 
     Returns
@@ -35,9 +35,9 @@ def fan(lengths: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def triangulate(vertices: np.ndarray, lengths: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the triangles of polygons, in the order of the polygons, and notes on polygons that have no certain shape.
+    """Return the triangles of polygons, in the order of the polygons, and notes on polygons of ambiguous shape.
 
-    Polygons with vertices that are out of range, no numbers or beyond float32 become fans.
+    Polygons with vertices that are out of range, NaN or beyond float32 become fans.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def triangulate(vertices: np.ndarray, lengths: np.ndarray, corners: np.ndarray) 
     Returns
     -------
     faces : (m, 3) int64
-        A polygon of n corners gives n - 2 triangles; fewer where ears are cut and corners are collinear.
+        A polygon of n corners gives n - 2 triangles; fewer where ears are cut at collinear corners.
     notes : tuple of str
     """
     faces = fan(lengths, corners)
@@ -80,11 +80,11 @@ def triangulate(vertices: np.ndarray, lengths: np.ndarray, corners: np.ndarray) 
     if bent.size:
         notes.append(
             f"{_polygons(bent, 'is', 'are')} not planar (off the plane by up to {100 * depth:.2g} % of the size): "
-            "the triangles are one of several readings"
+            "their triangles are one of several interpretations"
         )
     if crossing:
         what = _polygons(np.array(crossing), "crosses itself", "cross themselves")
-        notes.append(f"{what} or has no area: its fan may cover more than is meant")
+        notes.append(f"{what} or has no area: its fan may cover too much")
     return faces, tuple(notes)
 
 
@@ -97,7 +97,7 @@ def _polygons(numbers: np.ndarray, verb: str, plural: str) -> str:
 def _examine(
     vertices: np.ndarray, faces: np.ndarray, owner: np.ndarray, lengths: np.ndarray
 ) -> tuple[list[tuple[int, np.ndarray]], np.ndarray, float]:
-    """Return which polygons are not their fans, with their normals; which are not planar, and by how much of their size."""
+    """Return the polygons that differ from their fans, with normals; those not planar, and by what part of their size."""
     nothing: tuple[list[tuple[int, np.ndarray]], np.ndarray, float] = ([], np.zeros(0, np.int64), 0.0)
     at = np.flatnonzero(lengths[owner] > 3)
     if not len(vertices):

@@ -1,4 +1,4 @@
-"""What a reader of mesh files returns and what it raises."""
+"""The result and the error of every reader of mesh files."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 class RawMesh(NamedTuple):
-    """What a file says, not yet checked.
+    """The content of a file, not yet checked.
 
     Attributes
     ----------
@@ -17,7 +17,7 @@ class RawMesh(NamedTuple):
     corners : (sum(lengths),) int64
         The polygons' vertex numbers from 0, one polygon after another; may be negative or too large.
     notes : tuple of str
-        What was read otherwise than the file's author may think; clauses about the file.
+        How the file was read where its author may expect otherwise; clauses about the file.
     """
 
     vertices: np.ndarray
@@ -27,7 +27,7 @@ class RawMesh(NamedTuple):
 
 
 class MeshError(ValueError):
-    """What is wrong with a file, as a clause about it, and the way out."""
+    """The problem of a file, as a clause about it, and the way out."""
 
     def __init__(self, what: str, way_out: str = "export the mesh again") -> None:
         super().__init__(what)

@@ -1,7 +1,7 @@
 """The text of a mesh file -> lines of words and numbers, the same way for every kind of file.
 
 Lines end with LF, CR or both and are counted from 1 as an editor counts them. UTF-8 with or without a mark, UTF-16 and UTF-32
-are read; a Ctrl-Z or NUL bytes at the end are no text.
+are read; a Ctrl-Z or NUL bytes at the end are ignored.
 """
 
 import codecs
@@ -25,11 +25,11 @@ _MARKS = {
 _COMMENT = re.compile(rb"(?<!1\.)#|#(?![A-Z])")
 _NOT_A_NUMBER = re.compile(rb"[+-]?(?:1\.#[A-Z]+\d*|nan\(\w*\))", re.IGNORECASE)
 _WHOLE = re.compile(rb"[+-]?\d+")
-_LARGEST = 1 << 62  # no file has so many vertices: a larger number is out of range all the same
+_LARGEST = 1 << 62  # no file has so many vertices: a larger number is out of range anyway
 
 
 def plain_text(data: bytes) -> bytes:
-    """Return a text in a coding in which ASCII is ASCII, without a mark and without what is no text at its end."""
+    """Return a text in an encoding that contains ASCII, without a byte order mark and without padding at its end."""
     mark = next((mark for mark in _MARKS if data.startswith(mark)), b"")
     data = data[len(mark) :]
     if coding := _MARKS[mark] if mark else _unmarked_coding(data[:64]):
@@ -38,7 +38,7 @@ def plain_text(data: bytes) -> bytes:
 
 
 def _unmarked_coding(start: bytes) -> str:
-    """Return the coding of a text without a mark: ASCII letters of UTF-16 have a NUL byte on one side."""
+    """Return the encoding of a text without a mark: ASCII letters of UTF-16 have a NUL byte on one side."""
     first, second = start[0:-1:2], start[1::2]
     if len(second) < 4 or b"\0" not in start:
         return ""
@@ -58,7 +58,7 @@ class Text:
         """Yield number and words of each line that has words, without its comment.
 
         With ``joins`` a backslash at the end continues a line in the next; in a comment it does not. Lines that begin with one
-        of ``skip`` are passed over.
+        of ``skip`` are skipped.
         """
         lines = iter(enumerate(self._lines, 1))
         comments, joins = self._signs[b"#"], joins and self._signs[b"\\"]
@@ -81,14 +81,14 @@ class Text:
         return line
 
     def floats(self, words: Sequence[bytes], where: Callable[[int], str]) -> np.ndarray:
-        """Return the numbers that words of this text spell, float64; ``where(k)`` says where word k stands, for the error."""
+        """Return the numbers that words of this text spell, float64; ``where(k)`` returns the place of word k for an error."""
         with contextlib.suppress(ValueError):
             if self._no_underscore(words):
                 return np.fromiter(map(float, words), np.float64, len(words))
         return np.array([_number(word, where, k) for k, word in enumerate(words)], np.float64)
 
     def whole_numbers(self, words: Sequence[bytes], where: Callable[[int], str]) -> np.ndarray:
-        """Return the whole numbers that words spell, int64; what int64 cannot hold becomes 2^62 or its negative."""
+        """Return the whole numbers that words spell, int64; a number beyond int64 becomes 2^62 or its negative."""
         with contextlib.suppress(ValueError, OverflowError):
             if self._no_underscore(words):
                 return np.fromiter(map(int, words), np.int64, len(words))
@@ -98,7 +98,7 @@ class Text:
         return np.array([min(max(int(word), -_LARGEST), _LARGEST) for word in words], np.int64)
 
     def _no_underscore(self, words: Sequence[bytes]) -> bool:
-        """Return whether Python reads nothing as a number that is none, as 1_000."""
+        """Return whether Python accepts no word that is not a number here, such as 1_000."""
         return not self._signs[b"_"] or b"_" not in b"".join(words)
 
 

@@ -183,7 +183,7 @@ def test_json(rows):
 def test_tables_say_what_is_counted_and_mark_stand_ins(rows):
     tables, notes = table1_tables.tables(rows), table1_tables.notes(rows)
     assert [table.title for table in tables] == ["kd-tree", "BVH", "ACPR with the measured N (demand accesses per ray)"]
-    assert "counts pre-fetches as accesses: miss = all misses / all accesses" in " ".join(notes)
+    assert "counts prefetches as accesses: miss = all misses / all accesses" in " ".join(notes)
     first = tables[0].rows[:3]
     ours, paper = rows[0].ours["miss_a"], rows[0].paper["miss_a"]
     assert [line[3] for line in first] == [f"{ours:.1f}", f"{paper:.1f}", f"{ours - paper:+.1f}"]

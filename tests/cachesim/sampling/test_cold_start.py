@@ -1,4 +1,4 @@
-"""Replay from an unknown start: certain and open misses against a cache that saw the whole trace."""
+"""Replay from an unknown start: known and unknown references, compared with a cache that saw the whole trace."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from cachesim.config import CacheConfig
 from cachesim.sampling.cold_start import ALONE, DEMAND, REQUESTS, KnownReplay, check_lru
 from tests.reference.cache import Contents
 
-LABELS = np.array([0, 11], np.uint8)  # a read, a pre-fetch
+LABELS = np.array([0, 11], np.uint8)  # a read, a prefetch
 
 
 def truth(lines, labels, config, start):

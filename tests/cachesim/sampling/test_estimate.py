@@ -256,7 +256,7 @@ def test_a_small_calibration(court):
     scene, trees = court
     configs = [CacheConfig(2048, 1), CacheConfig(4096, 2)]
     source = RayUnits(scene, trees["kdtree"], Shooting(256, 256))
-    names = ["per ray", "pre-fetches", *(f"{k} {q}" for k in (0, 1) for q in QUANTITIES)]
+    names = ["per ray", "prefetches", *(f"{k} {q}" for k in (0, 1) for q in QUANTITIES)]
     truth = dict(zip(names, truth_of(source, configs), strict=True))
     n_sampled = n_hold = 0
     errors = []
@@ -266,7 +266,7 @@ def test_a_small_calibration(court):
             continue
         n_sampled += 1
         values = {f"{k} {name}": value for k, cell in enumerate(result.cells) for name, value in cell.values.items()}
-        values |= {"per ray": result.accesses_per_ray, "pre-fetches": result.prefetches_per_access}
+        values |= {"per ray": result.accesses_per_ray, "prefetches": result.prefetches_per_access}
         n_hold += all(holds(values[name], truth[name]) for name in truth)
         errors.append([(values[f"0 {q}"].value - truth[f"0 {q}"]) / values[f"0 {q}"].half for q in TARGETED])
         for name in TARGETED:

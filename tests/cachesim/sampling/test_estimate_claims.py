@@ -1,4 +1,4 @@
-"""What an estimate says of itself, recomputed without its code: quantities, shares, seconds, half-widths, batches, parts."""
+"""The claims of an estimate, recomputed without its code: quantities, shares, seconds, half-widths, batches, parts."""
 
 import json
 import time
@@ -25,7 +25,7 @@ TOTAL = Ratio((np.array([0.0, 1.0]),))
 
 
 def drawn(n=200_000, share=0.15, seed=8):
-    """Nodes and kinds of a trace with a hot part and some pre-fetches."""
+    """Nodes and kinds of a trace with a hot part and some prefetches."""
     rng = np.random.default_rng(seed)
     hot = np.where(np.arange(n) // 256 % 7 == 3, 0.5, 0.3)
     nodes = np.where(rng.random(n) < hot, rng.integers(64, 2048, n), rng.integers(64, size=n))
@@ -135,7 +135,7 @@ def test_seconds_include_the_scout_and_are_not_the_exact_ones(monkeypatch):
     result = sampled(source)
     took = time.perf_counter() - start
     assert took - 1 < result.seconds <= took
-    assert result.exact_seconds == pytest.approx(201_000, rel=0.02)  # of all accesses, pre-fetches too
+    assert result.exact_seconds == pytest.approx(201_000, rel=0.02)  # of all accesses, prefetches too
 
 
 def test_the_exact_run_is_predicted_by_a_line_through_the_calls():
@@ -192,7 +192,7 @@ def test_a_sample_that_costs_more_than_it_saves_is_not_drawn():
 
 
 def test_bursts_of_prefetches_that_were_not_sampled():
-    """One unit in 160 has 17 times the pre-fetches of the others; most first samples have none of them."""
+    """One unit in 160 has 17 times the prefetches of the others; most first samples have none of them."""
     counts = np.tile([2500.0, 10.0, 300.0], (640, 1))
     counts[50::160, 1] = 170.0
     ratio, truth = ratios_of([])[1], counts[:, 1].sum() / counts[:, 0].sum()

@@ -1,4 +1,4 @@
-"""--resume: files that are damaged, cut, of another program or in no folder are told before anything is traced."""
+"""--resume: files that are damaged, truncated, foreign or in no folder are reported before anything is traced."""
 
 import io
 import pickle

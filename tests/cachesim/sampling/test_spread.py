@@ -1,4 +1,4 @@
-"""No luck makes a variance zero: steps between strata, units like none that was drawn, a second sample that agrees."""
+"""No variance is zero by luck: steps between strata, units unlike any that was drawn, a second sample that agrees."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Agreement with Embree on the four scenes (see conftest.py) and on small shapes; a broken tree is seen."""
+"""Agreement with Embree on the four scenes (see conftest.py) and on small shapes; a broken tree is noticed."""
 
 import numpy as np
 import pytest

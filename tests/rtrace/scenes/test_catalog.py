@@ -138,7 +138,7 @@ def test_a_known_archive_is_believed_whatever_is_in_it_and_an_unknown_one_is_not
     monkeypatch.setitem(CATALOG, "sponza", known)
     scene, _ = find(tmp_path, server)
     assert not scene.stand_in
-    assert "is not the known Sponza atrium" in scene.notes[-1]
+    assert "differs from the known Sponza atrium" in scene.notes[-1]
 
 
 EVIL = "../../../evil.obj"
@@ -161,7 +161,7 @@ def test_trouble_ends_in_the_stand_in_with_a_reason_and_nothing_kept(tmp_path, s
     assert scene.stand_in
     assert scene.label == "sponza (stand-in)"
     assert words in said
-    assert "stands in" in said
+    assert "takes its place" in said
     assert not (tmp_path / "cache").exists()
 
 
@@ -224,7 +224,7 @@ def test_the_users_folder_comes_first(tmp_path, ball, monkeypatch):
     with pytest.raises(SceneError, match=r"sponza\.obj"):
         find(tmp_path)
     monkeypatch.setenv("NPTRACE_SCENES", str(tmp_path / "nowhere"))
-    assert "no folder" in find(tmp_path)[1]
+    assert "not a folder" in find(tmp_path)[1]
 
 
 def test_names_files_and_neither(tmp_path, monkeypatch):

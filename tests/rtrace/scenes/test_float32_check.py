@@ -1,4 +1,4 @@
-"""What float32 makes of triangles, against exact fractions."""
+"""The effect of float32 on triangles, compared with exact fractions."""
 
 from fractions import Fraction
 
@@ -50,7 +50,7 @@ def test_scenes_that_float32_carries_and_that_it_does_not():
     assert any("50 of 50 triangles have an edge of less than 8 steps" in note for note in notes(found))
     assert any("wide but lies 1e+07 from the origin" in note for note in notes(found))
     gone = measure(near * 1e-3 + 1e7 + 0.01)
-    assert gone.n_collapsed == 50 and "50 of them lost a whole edge" in notes(gone)[1]
+    assert gone.n_collapsed == 50 and "50 of them have an edge of length 0 after rounding" in notes(gone)[1]
     # After rounding alone, an edge that is left is one step long at least.
     assert measure(far.astype(np.float32)).least_steps >= 1
 

@@ -1,4 +1,4 @@
-"""Some 400 generated mesh files over all formats and their options: triangles, areas and volumes as computed by hand."""
+"""Generated mesh files over all formats and their options: triangles, areas and volumes as written."""
 
 import struct
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Mesh files as they are: every kind, polygons, bad triangles, and one sentence for whatever cannot be read."""
+"""Mesh files as they are: every kind, polygons, bad triangles, and one sentence for each unreadable file."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""All builders on the scenes that break builders: steps counted, memory poisoned, listing exact, hits those of brute force."""
+"""All builders on the scenes that break builders: steps counted, memory poisoned, leaves exact, hits those of brute force."""
 
 import hashlib
 from functools import partial

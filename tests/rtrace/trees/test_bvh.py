@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from rtrace.scenes.shapes import boxes, height_field, icosphere, soup
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.strays import make_room
-from rtrace.trees.tree import LEAF, node_table, triangle_boxes
+from rtrace.trees.tree import LEAF_AXIS, node_table, triangle_boxes
 
 coordinate = st.integers(-8, 8).map(float)
 triangle_lists = st.lists(st.lists(coordinate, min_size=9, max_size=9), min_size=1, max_size=40)
@@ -21,7 +21,7 @@ def half_area(lower, upper):
 
 def sah_cost(tree):
     """Cost of the tree in triangle tests per ray that meets the root: 1 a node visited, 1 a triangle tested."""
-    is_leaf = (tree.nodes["meta"] & 3) == LEAF
+    is_leaf = (tree.nodes["meta"] & 3) == LEAF_AXIS
     work = np.where(is_leaf, tree.nodes["meta"] >> 2, 1)
     area = half_area(tree.nodes["lower"], tree.nodes["upper"])
     return float((area * work).sum() / area[0])
@@ -29,7 +29,7 @@ def sah_cost(tree):
 
 def check_invariants(tree):
     nodes, n = tree.nodes, len(tree.nodes)
-    is_leaf = (nodes["meta"] & 3) == LEAF
+    is_leaf = (nodes["meta"] & 3) == LEAF_AXIS
     lower, upper = triangle_boxes(tree.triangles)
     make_room(tree.triangles, lower, upper)
     seen, expected_pair, todo = np.zeros(len(tree.triangles), int), 1, [0]
@@ -138,7 +138,7 @@ def reference_binned(triangles):
 def assert_is_reference(tree, want):
     assert len(tree.nodes) == len(want)
     for node, (n, axis, ids) in zip(tree.nodes, want, strict=True):
-        assert (node["meta"] & 3) == (LEAF if axis is None else axis)
+        assert (node["meta"] & 3) == (LEAF_AXIS if axis is None else axis)
         if axis is None:
             assert tree.prims[node["child"] : node["child"] + n].tolist() == ids
 

@@ -15,7 +15,7 @@ from rtrace.scenes.stand_ins import boxes, height_field, icosphere, soup
 from rtrace.trees import kdtree
 from rtrace.trees.clip import POLYGON, rank, split_bounds, value
 from rtrace.trees.kdtree import build_kdtree, sah_cost
-from rtrace.trees.tree import LEAF, node_table
+from rtrace.trees.tree import LEAF_AXIS, node_table
 
 
 def float32(x):
@@ -105,7 +105,7 @@ def slow_kdtree(triangles, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=5
                     if cost < least:
                         least, best = cost, (axis, x, planar_below, n_below, n_above)
         if best is None or total - len(refs) + best[3] + best[4] > ceiling:
-            nodes[node] = (LEAF, [i for i, _ in refs], None)
+            nodes[node] = (LEAF_AXIS, [i for i, _ in refs], None)
             return
         axis, x, planar_below, n_below, n_above = best
         sides = [], []
@@ -138,7 +138,7 @@ def assert_same_tree(tree, slow):
     assert (len(tree.nodes), len(tree.prims)) == (len(nodes), n_refs)
     for got, (axis, what, child) in zip(tree.nodes, nodes, strict=True):
         assert got["meta"] & 3 == axis
-        if axis == LEAF:
+        if axis == LEAF_AXIS:
             first, count = int(got["first"]), int(got["meta"] >> 2)
             assert tree.prims[first : first + count].tolist() == what
         else:
@@ -156,7 +156,7 @@ def leaves_of(tree):
         i, cell, level = todo.pop()
         axis, count, split = tree.nodes[i]["meta"] & 3, int(tree.nodes[i]["meta"] >> 2), float(tree.nodes[i]["split"])
         deepest = max(deepest, level)
-        if axis == LEAF:
+        if axis == LEAF_AXIS:
             assert tree.nodes[i]["first"] == first  # leaves fill prims in their own order
             listed = tree.prims[first : first + count]
             assert (np.diff(listed) > 0).all()
@@ -227,7 +227,7 @@ def plain_sah(tree, c_trav, c_isect):
 
     def cost(i, cell):
         axis, count = tree.nodes[i]["meta"] & 3, int(tree.nodes[i]["meta"] >> 2)
-        if axis == LEAF:
+        if axis == LEAF_AXIS:
             return c_isect * count * half_area(cell)
         lower, upper = cell.copy(), cell.copy()
         lower[1, axis] = upper[0, axis] = tree.nodes[i]["split"]
@@ -450,7 +450,7 @@ def test_a_power_of_two_scales_the_tree(exponent):
     scaled = build_kdtree(np.ldexp(triangles, exponent))
     assert plain.nodes["meta"].tobytes() == scaled.nodes["meta"].tobytes()
     assert plain.prims.tobytes() == scaled.prims.tobytes()
-    inner = plain.nodes["meta"] & 3 != LEAF
+    inner = plain.nodes["meta"] & 3 != LEAF_AXIS
     np.testing.assert_array_equal(np.ldexp(plain.nodes["split"][inner], exponent), scaled.nodes["split"][inner])
     assert sah_cost(plain, 1.5, 2.0) == sah_cost(scaled, 1.5, 2.0)
 

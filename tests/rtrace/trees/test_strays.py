@@ -1,4 +1,4 @@
-"""One triangle far out of a scene: no hit is lost near it or far from it, and rays near the scene visit little more."""
+"""One triangle far from a scene: no hit is lost near it or far from it, and rays near the scene visit few more nodes."""
 
 import numpy as np
 import pytest

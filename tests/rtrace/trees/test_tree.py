@@ -5,7 +5,7 @@ import math
 import pytest
 
 from rtrace.scenes.shapes import soup
-from rtrace.trees.tree import LEAF, node_table
+from rtrace.trees.tree import LEAF_AXIS, node_table
 from rtrace.trees.tree_cache import build_tree
 
 
@@ -17,7 +17,7 @@ def test_every_column_is_what_a_walk_from_the_root_finds(kind):
         i, parent, level = waiting.pop()
         node, seen = tree.nodes[i], seen + 1
         meta = int(node["meta"])
-        is_leaf = meta & 3 == LEAF
+        is_leaf = meta & 3 == LEAF_AXIS
         expected = {"node": i, "parent": parent, "level": level, "axis": meta & 3, "n_prims": meta >> 2 if is_leaf else 0}
         expected["address"] = i * (8 if kind == "kdtree" else 32)
         if kind == "bvh":

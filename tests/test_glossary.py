@@ -1,0 +1,75 @@
+"""The glossary has every column heading and every JSON key that a command prints."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import cli
+import nptrace_base.tables
+from rtrace.checks import embree, hard_cases
+
+GLOSSARY = (Path(cli.__file__).resolve().parent / "docs" / "glossary.md").read_text(encoding="utf-8")
+SMALL = ["--size", "16x16", "--offline"]
+CACHES = ["--size", "1K,2K", "--assoc", "1,2"]
+
+
+@pytest.fixture(scope="module")
+def headings_and_keys(tmp_path_factory):
+    """Return the headings and the keys of every command that prints results."""
+    traces = tmp_path_factory.mktemp("traces")
+    headings, keys = set(), set()
+
+    def record(tables, notes, file):
+        headings.update(name.replace("-\n", "").replace("\n", " ") for table in tables for name in table.header)
+
+    def run(program, *args):
+        result = CliRunner().invoke(program, [*map(str, args)], catch_exceptions=False)
+        assert result.exit_code == 0, result.output
+        return result.stdout
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("NPTRACE_SCENES", raising=False)
+        patch.setattr(nptrace_base.tables, "print_tables", record)
+        for form in ([], ["--json"]):
+            for program, *args in (
+                (cli.nptrace, "render", "bunny", *SMALL, "--out", traces), (cli.nptrace, "scenes"),
+                (cli.nptrace, "check", "blob", *SMALL, "--random", 50), (cli.npcache, "table1", "--traces", traces),
+                (cli.npcache, "replay", "--traces", traces, *CACHES, "--3c"),
+                (cli.npcache, "estimate", "blob", *CACHES, "--pixels", "16x16", "--offline"),
+            ):  # fmt: skip
+                printed = run(program, *args, *form)
+                keys |= set(_keys(json.loads(printed))) if form else set()
+        keys |= set(
+            _keys(json.loads(run(cli.npcache, "sweep", "--traces", traces, "--size", "1K", "--ways", "1,2", "--json")))
+        )
+    return headings, keys | set(embree.Row._fields) | set(hard_cases.Row._fields)
+
+
+def _keys(value):
+    if isinstance(value, list):
+        for item in value:
+            yield from _keys(item)
+    elif isinstance(value, dict):
+        for name, item in value.items():
+            yield name
+            yield from _keys(item)
+
+
+def test_every_heading_is_a_term(headings_and_keys):
+    headings, _ = headings_and_keys
+    terms = " ".join(re.sub(r"[|`(),:;]", " ", GLOSSARY.lower()).split())
+    words = {" ".join(re.sub(r"[(),]", " ", name.lower()).split()).removesuffix(" %") for name in headings if name}
+    words = {re.sub(r"^\d+k \d+ ", "acpr ", word) for word in words}  # a cache of Table I
+    assert len(words) > 40
+    assert sorted(word for word in words if f" {word} " not in f" {terms} ") == []
+
+
+def test_every_key_is_a_term(headings_and_keys):
+    _, keys = headings_and_keys
+    known = set(re.findall(r"\w+", GLOSSARY))
+    known |= {f"{name}_paper" for name in known}
+    assert len(keys) > 60
+    assert sorted(keys - known) == []
