@@ -104,25 +104,25 @@ def _positions(order: np.ndarray) -> np.ndarray:
 
 
 def _pair_slots(parents: np.ndarray, node_bytes: int, layout: Layout) -> np.ndarray:
-    """Return the slot of each node for the layouts that order whole pairs (unit 0 the root, unit k nodes 2k - 1 and 2k)."""
-    n_units = (parents.size + 1) // 2
-    unit_parents = np.full(n_units, -1, np.int64)
-    unit_parents[1:] = (parents[1::2] + 1) // 2
-    first, next_ = unit_children(unit_parents)
-    order = np.empty(n_units, np.int64)
+    """Return the slot of each node where whole pairs are ordered (pair 0 is the root alone, pair k nodes 2k - 1 and 2k)."""
+    n_pairs = (parents.size + 1) // 2
+    pair_parents = np.full(n_pairs, -1, np.int64)
+    pair_parents[1:] = (parents[1::2] + 1) // 2
+    first, next_ = pair_children(pair_parents)
+    order = np.empty(n_pairs, np.int64)
     if layout.name == "veb":
-        stack, walk = np.empty((n_units + 1, 2), np.int64), np.empty(n_units, np.int64)
-        veb_order(first, next_, heights(unit_parents), stack, walk, order)
-        first_slots = 2 * _positions(order) - 1  # the root has no sibling: its unit is one slot
+        stack, walk = np.empty((n_pairs + 1, 2), np.int64), np.empty(n_pairs, np.int64)
+        veb_order(first, next_, heights(pair_parents), stack, walk, order)
+        first_slots = 2 * _positions(order) - 1  # the root has no sibling: its pair is one slot
     else:
-        pairs = layout.block_bytes // (2 * node_bytes)
-        if pairs * 2 * node_bytes != layout.block_bytes:
+        per_block = layout.block_bytes // (2 * node_bytes)
+        if per_block * 2 * node_bytes != layout.block_bytes:
             raise NptraceError(
                 f"a treelet of {layout.block_bytes} B is not a whole number of pairs of {node_bytes}-byte nodes; "
-                f"write e.g. treelet:{max(pairs, 1) * 2 * node_bytes}"
+                f"write e.g. treelet:{max(per_block, 1) * 2 * node_bytes}"
             )
-        pairs = min(pairs, n_units)  # a larger block would hold the whole tree too
-        treelet_order(first, next_, pairs, np.empty(n_units, np.int64), np.empty(pairs, np.int64), order)
+        per_block = min(per_block, n_pairs)  # a larger block would hold the whole tree too
+        treelet_order(first, next_, per_block, np.empty(n_pairs, np.int64), np.empty(per_block, np.int64), order)
         first_slots = 2 * _positions(order)
     slots = np.empty(parents.size, np.int64)
     slots[0] = 0
@@ -157,29 +157,29 @@ def dfs_slots(children, stack, slots):
 
 
 @kernel
-def unit_children(parents):
-    """Return (first child, next sibling) of every unit, -1 for none; a unit has up to two children, in ascending order."""
+def pair_children(parents):
+    """Return (first child, next sibling) of every pair, -1 for none; a pair has up to two children, in ascending order."""
     first = np.full(parents.size, -1, np.int64)
     next_ = np.full(parents.size, -1, np.int64)
-    for unit in range(parents.size - 1, 0, -1):
-        next_[unit] = first[parents[unit]]
-        first[parents[unit]] = unit
+    for pair in range(parents.size - 1, 0, -1):
+        next_[pair] = first[parents[pair]]
+        first[parents[pair]] = pair
     return first, next_
 
 
 @kernel
 def heights(parents):
-    """Return the number of levels of the subtree under every unit, itself included."""
+    """Return the number of levels of the subtree under every pair, itself included."""
     height = np.ones(parents.size, np.int64)
-    for unit in range(parents.size - 1, 0, -1):
-        if height[parents[unit]] <= height[unit]:
-            height[parents[unit]] = height[unit] + 1
+    for pair in range(parents.size - 1, 0, -1):
+        if height[parents[pair]] <= height[pair]:
+            height[parents[pair]] = height[pair] + 1
     return height
 
 
 @kernel
 def veb_order(first, next_, height, stack, walk, order):
-    """Order the units as van Emde Boas does: ``stack`` holds (subtree, levels of it), ``walk`` is scratch."""
+    """Order the pairs as van Emde Boas does: ``stack`` holds (subtree, levels of it), ``walk`` is scratch."""
     stack[0, 0], stack[0, 1] = 0, height[0]
     n_stack, n = 1, 0
     while n_stack:
@@ -191,7 +191,7 @@ def veb_order(first, next_, height, stack, walk, order):
             n += 1
             continue
         upper = levels // 2
-        # The units `upper` levels below the top, from left to right: breadth-first, in place in `walk`.
+        # The pairs `upper` levels below the top, from left to right: breadth-first, in place in `walk`.
         walk[0] = top
         start, end = 0, 1
         for _ in range(upper):
@@ -211,24 +211,24 @@ def veb_order(first, next_, height, stack, walk, order):
 
 
 @kernel
-def treelet_order(first, next_, pairs, pending, queue, order):
-    """Order the units block by block of ``pairs`` units: each block is filled breadth-first from the next subtree waiting."""
+def treelet_order(first, next_, per_block, pending, queue, order):
+    """Order the pairs in blocks of ``per_block``; each is filled breadth-first from the next subtree waiting."""
     pending[0] = 0
     n_pending, n = 1, 0
     while n_pending:
         taken = 0
-        while taken < pairs and n_pending:
+        while taken < per_block and n_pending:
             n_pending -= 1
             queue[taken] = pending[n_pending]
             here, taken = taken, taken + 1
             while here < taken:
-                unit = queue[here]
+                pair = queue[here]
                 here += 1
-                order[n] = unit
+                order[n] = pair
                 n += 1
-                child = first[unit]
+                child = first[pair]
                 while child >= 0:
-                    if taken < pairs:
+                    if taken < per_block:
                         queue[taken] = child
                         taken += 1
                     else:

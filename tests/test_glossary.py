@@ -45,7 +45,8 @@ def headings_and_keys(tmp_path_factory):
         keys |= set(
             _keys(json.loads(run(cli.npcache, "sweep", "--traces", traces, "--size", "1K", "--ways", "1,2", "--json")))
         )
-    return headings, keys | {name for row in vars(hard_cases).values() for name in getattr(row, "_fields", ()) if name[0] != "_"}
+    (hard_case,) = (each for each in vars(hard_cases).values() if hasattr(each, "is_good"))  # a long run prints it
+    return headings, keys | set(hard_case._fields)
 
 
 def _keys(value):

@@ -1,7 +1,8 @@
 """Install the built wheel into a fresh environment and use it beside foreign modules: ``python -m tests.wheel_check``.
 
 The main job runs outside the checkout, in a folder (also on PYTHONPATH) with modules named as ours once were; each raises.
-Exit status 1 with one sentence if the wheel puts another name at the top of site-packages, or if a command fails.
+Exit status 1 with one sentence if the wheel puts another name at the top of site-packages, if it does not say that a package
+is typed, or if a command fails.
 """
 
 import json
@@ -32,10 +33,14 @@ def main() -> None:
         folder = Path(name)
         run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, ROOT, cwd=folder)
         (wheel,) = folder.glob("*.whl")
-        strangers = {path.split("/")[0] for path in zipfile.ZipFile(wheel).namelist()} - TOP
+        files = set(zipfile.ZipFile(wheel).namelist())
+        strangers = {path.split("/")[0] for path in files} - TOP
         strangers = {name for name in strangers if not name.endswith(".dist-info")}
         if strangers:
             raise SystemExit(f"the wheel puts {', '.join(sorted(strangers))} at the top of site-packages; it may hold {TOP}")
+        untyped = {name for name in TOP - {"cli.py"} if f"{name}/py.typed" not in files}
+        if untyped:
+            raise SystemExit(f"the wheel has no py.typed in {', '.join(sorted(untyped))}")
         run(sys.executable, "-m", "venv", folder / "env", cwd=folder)
         python = folder / "env" / "bin" / "python"
         run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel, cwd=folder)

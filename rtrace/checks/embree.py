@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.scenes.scene import Scene
+from rtrace.shading import shadow_rays
 from rtrace.traverse import Hits, Rays, make_rays, trace
 from rtrace.trees.tree import Tree
 

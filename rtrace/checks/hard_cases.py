@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rtrace.checks.exact_answers import T_BOUND, Answer, exact_answer, units
-from rtrace.chunk import OFFSET, shadow_rays
 from rtrace.scenes.shapes import box, boxes, height_field, icosphere, rectangle
+from rtrace.shading import OFFSET, shadow_rays
 from rtrace.traverse import Hits, Rays, make_rays, trace, trace_all
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
@@ -157,7 +157,7 @@ def _judge_shadows(case: Case, tracer: Tracer, light: Point) -> tuple[tuple[int,
     no_nodes, no_prims, nowhere = np.empty(0, BVH_NODE), np.empty(0, np.int32), np.zeros((2, 3), np.float32)
     bare = Tree("none", no_nodes, no_prims, case.triangles[:0], case.triangles, nowhere, nowhere, 0, {})
     hits = tracer(case.rays, False)
-    rays, owner, facing, _ = shadow_rays(bare, case.rays, hits, light)
+    rays, owner, (facing, _) = shadow_rays(bare, case.rays, hits, light)
     dark = ~(facing > 0.0)
     dark[owner[tracer(rays, True).prim >= 0]] = True
     sure, is_dark = ~case.answer.is_ambiguous, case.answer.is_hit

@@ -256,9 +256,7 @@ def find_scene(
         if own.suffix.lower() in READERS:
             scene = load_mesh(own, strict=strict, fans=True)
         else:
-            with tempfile.TemporaryDirectory() as unpacked:
-                mesh = downloads.unpack(own, entry.member or f"{name}.obj", Path(unpacked))
-                scene = load_mesh(mesh, strict=strict, fans=True)  # as everybody's counts of these scenes are made
+            scene = load_archive(own, entry.member or f"{name}.obj", strict=strict)
         return _present(entry, scene, str(own), notify)
     cache = cache or cache_folder()
     cached = _load_cached(entry, cache, notify)
@@ -270,6 +268,13 @@ def find_scene(
         f"{name} was not found; the built-in {entry.stand_in!r} takes its place; its numbers are not those of {entry.title}"
     )
     return stand_in(entry.stand_in)._replace(name=name, source=name, stand_in=True)
+
+
+def load_archive(archive: Path, member: str, *, strict: bool = False) -> Scene:
+    """Return the mesh in an archive of the user's own. Raises SceneError."""
+    with tempfile.TemporaryDirectory() as folder:
+        mesh = downloads.unpack(archive, member, Path(folder))
+        return load_mesh(mesh, strict=strict, fans=True)  # as everybody's counts of these scenes are made
 
 
 def cache_folder() -> Path:

@@ -15,15 +15,26 @@ from numba import types
 
 from nptrace_base.jit import inlined, instructions, kernel
 from rtrace.trees import strays
-from rtrace.trees.tree import LEAF_AXIS
+from rtrace.trees import tree as layout
+from rtrace.trees.tree import AXIS_BITS, LEAF_AXIS
 
 N_BINS = 16
 FEWEST_BINS, PER_BIN = 4, 20  # bins of a node with n triangles: 4 + n / 20, at most N_BINS
 WORDS = 8  # of a record: lower x, y, z, minus upper x, y, z, number, unused; and of a box, whose last two mean nothing
 
 INF, NOTHING = np.float32(np.inf), np.float32(0.0)
-ZERO, ONE, TWO, THREE, FOUR, FIVE, SIX, SEVEN, EIGHT = (np.uint64(k) for k in range(9))
-TWENTY_FOUR = np.uint64(3 * WORDS)
+# Unsigned, as in ``traverse``: what a signed index costs there it costs here.
+ZERO, ONE, TWO, AXES = (np.uint64(k) for k in range(4))
+#: Where a record or a box of so many words has its fields.
+RECORD_WORDS = np.uint64(WORDS)
+LOWER, NEGATED_UPPER, NUMBER, UNUSED = np.uint64(0), np.uint64(3), np.uint64(6), np.uint64(7)
+CORNER_FLOATS, SECOND, THIRD = np.uint64(9), np.uint64(3), np.uint64(6)  # of a triangle, and where its vertices start
+X, Y, Z = ZERO, ONE, TWO
+NODE_WORDS, NODE_LOWER, NODE_UPPER, NODE_CHILD, NODE_META = map(
+    np.uint64, (layout.BVH_WORDS, layout.LOWER, layout.UPPER, layout.CHILD, layout.META)
+)
+#: An entry of the stack of nodes that wait: which node, its records, its level.
+NODE, START, END, LEVEL, ENTRY = (np.uint64(k) for k in range(5))
 
 
 def _on_eight_words(combine: Any, twin: Any) -> Any:
@@ -72,20 +83,21 @@ copy = _on_eight_words(lambda builder, held, new: new, lambda held, new: new)
 
 
 @inlined
-def _area(boxes, box):
+def _half_area(boxes, box):
     """Half the surface of a box; float64, so that no scene is too small or too large."""
-    b = box * EIGHT
-    dx = -np.float64(boxes[b + THREE]) - boxes[b]
-    dy = -np.float64(boxes[b + FOUR]) - boxes[b + ONE]
-    dz = -np.float64(boxes[b + FIVE]) - boxes[b + TWO]
+    lower = box * RECORD_WORDS + LOWER
+    upper = box * RECORD_WORDS + NEGATED_UPPER
+    dx = -np.float64(boxes[upper + X]) - boxes[lower + X]
+    dy = -np.float64(boxes[upper + Y]) - boxes[lower + Y]
+    dz = -np.float64(boxes[upper + Z]) - boxes[lower + Z]
     return dx * dy + dy * dz + dz * dx
 
 
 @inlined
 def _centroid(records, record, axis):
     """Return twice the centre of a record's box along an axis; in float64 the sum of two float32 does not overflow."""
-    b = record * EIGHT + axis
-    return np.float64(records[b]) - records[b + THREE]
+    b = record * RECORD_WORDS + axis
+    return np.float64(records[b + LOWER]) - records[b + NEGATED_UPPER]
 
 
 @inlined
@@ -97,11 +109,11 @@ def _bin_of(centroid, least, scale, n_bins):
 @kernel
 def _centroid_bounds(records, start, end, least, scale, n_bins):
     """Write the least centroid per axis, and how many bins a unit of length spans; 0 if all coincide."""
-    x0 = x1 = _centroid(records, start, ZERO)
-    y0 = y1 = _centroid(records, start, ONE)
-    z0 = z1 = _centroid(records, start, TWO)
+    x0 = x1 = _centroid(records, start, X)
+    y0 = y1 = _centroid(records, start, Y)
+    z0 = z1 = _centroid(records, start, Z)
     for i in range(start + ONE, end):
-        x, y, z = _centroid(records, i, ZERO), _centroid(records, i, ONE), _centroid(records, i, TWO)
+        x, y, z = _centroid(records, i, X), _centroid(records, i, Y), _centroid(records, i, Z)
         x0, x1 = x if x < x0 else x0, x if x > x1 else x1
         y0, y1 = y if y < y0 else y0, y if y > y1 else y1
         z0, z1 = z if z < z0 else z0, z if z > z1 else z1
@@ -116,19 +128,19 @@ def _centroid_bounds(records, start, end, least, scale, n_bins):
 @kernel
 def _fill_bins(records, start, end, least, scale, n_bins, bins, counts, empty):
     """Put each triangle into its bin along x, y and z; bin j of axis k is box 3 j + k."""
-    for b in range(THREE * n_bins):
+    for b in range(AXES * n_bins):
         copy(bins, b, empty, ZERO)
         counts[b] = 0
     least_x, least_y, least_z = least[0], least[1], least[2]
     scale_x, scale_y, scale_z = scale[0], scale[1], scale[2]
     for i in range(start, end):
-        j = _bin_of(_centroid(records, i, ZERO), least_x, scale_x, n_bins) * THREE
+        j = _bin_of(_centroid(records, i, X), least_x, scale_x, n_bins) * AXES
         grow(bins, j, records, i)
         counts[j] += 1
-        j = _bin_of(_centroid(records, i, ONE), least_y, scale_y, n_bins) * THREE + ONE
+        j = _bin_of(_centroid(records, i, Y), least_y, scale_y, n_bins) * AXES + Y
         grow(bins, j, records, i)
         counts[j] += 1
-        j = _bin_of(_centroid(records, i, TWO), least_z, scale_z, n_bins) * THREE + TWO
+        j = _bin_of(_centroid(records, i, Z), least_z, scale_z, n_bins) * AXES + Z
         grow(bins, j, records, i)
         counts[j] += 1
 
@@ -137,20 +149,20 @@ def _fill_bins(records, start, end, least, scale, n_bins, bins, counts, empty):
 def _cheapest_plane(bins, counts, n_bins, count, side, right_area, empty):
     """Return (cost, axis, first bin on the right) of the cheapest plane between bins, 0 for none; the first of equals."""
     best, axis, cut = np.inf, ZERO, ZERO
-    for k in range(THREE):
+    for k in range(AXES):
         copy(side, ZERO, empty, ZERO)
         for back in range(ONE, n_bins):
             j = n_bins - back
-            grow(side, ZERO, bins, j * THREE + k)
-            right_area[j] = _area(side, ZERO)
+            grow(side, ZERO, bins, j * AXES + k)
+            right_area[j] = _half_area(side, ZERO)
         copy(side, ZERO, empty, ZERO)
         n_left = 0
         for j in range(n_bins - ONE):
-            n_left += counts[j * THREE + k]
-            grow(side, ZERO, bins, j * THREE + k)
+            n_left += counts[j * AXES + k]
+            grow(side, ZERO, bins, j * AXES + k)
             if n_left == 0 or n_left == count:
                 continue
-            cost = _area(side, ZERO) * n_left + right_area[j + ONE] * (count - n_left)
+            cost = _half_area(side, ZERO) * n_left + right_area[j + ONE] * (count - n_left)
             if cost < best:
                 best, axis, cut = cost, k, j + ONE
     return best, axis, cut
@@ -184,13 +196,14 @@ def make_records(triangles, records, numbers, box):
     """Write the record of every triangle (flat, nine coordinates each), and the box of all into eight words."""
     box[:] = INF
     for i in range(np.uint64(triangles.size // 9)):
-        a, b = i * np.uint64(9), i * EIGHT
-        for k in range(THREE):
-            p, q, r = triangles[a + k], triangles[a + THREE + k], triangles[a + SIX + k]
+        first, b = i * CORNER_FLOATS, i * RECORD_WORDS
+        for k in range(AXES):
+            p, q, r = triangles[first + k], triangles[first + SECOND + k], triangles[first + THIRD + k]
             low, high = (p, q) if p < q else (q, p)
             # Added to 0, because -0 has no place in a least of several numbers: which zero it is would be left to the machine.
-            records[b + k], records[b + THREE + k] = NOTHING + (r if r < low else low), NOTHING - (r if r > high else high)
-        numbers[b + SIX], numbers[b + SEVEN] = i, ZERO
+            records[b + LOWER + k] = NOTHING + (r if r < low else low)
+            records[b + NEGATED_UPPER + k] = NOTHING - (r if r > high else high)
+        numbers[b + NUMBER], numbers[b + UNUSED] = i, ZERO
         grow(box, ZERO, records, i)
 
 
@@ -209,24 +222,24 @@ def make_room(triangles, records, box):
 
 @kernel
 def _part_pair(records, first, spare):
-    """Put a pair in order along the first axis on which their centroids differ; return that axis, 3 for none.
+    """Put a pair in order along the first axis on which their centroids differ; return that axis, AXES for none.
 
     The bins would part it there too: all such axes give the same two boxes and so the same cost.
     """
-    for k in range(THREE):
+    for k in range(AXES):
         a, b = _centroid(records, first, k), _centroid(records, first + ONE, k)
         if FEWEST_BINS / abs(a - b) < np.inf:
             if a > b:
                 _exchange(records, first, first + ONE, spare)
             return k
-    return THREE
+    return AXES
 
 
 @kernel
 def _write_box(nodes, node, boxes, box):
-    for k in range(THREE):
-        nodes[node * EIGHT + k] = boxes[box * EIGHT + k]
-        nodes[node * EIGHT + THREE + k] = NOTHING - boxes[box * EIGHT + THREE + k]
+    for k in range(AXES):
+        nodes[node * NODE_WORDS + NODE_LOWER + k] = boxes[box * RECORD_WORDS + LOWER + k]
+        nodes[node * NODE_WORDS + NODE_UPPER + k] = NOTHING - boxes[box * RECORD_WORDS + NEGATED_UPPER + k]
 
 
 @kernel
@@ -242,21 +255,21 @@ def build_binned(records, numbers, box, nodes, words, prims):
     least, scale = np.empty(3, np.float64), np.empty(3, np.float64)
     todo = np.empty(4 * (prims.size + 1), np.uint64)  # node, start, end, level
     area_of = np.empty(prims.size + 1, np.float64)  # of each entry
-    todo[0], todo[1], todo[2], todo[3] = ZERO, ZERO, np.uint64(prims.size), ZERO
-    area_of[0] = _area(box, ZERO)
+    todo[NODE], todo[START], todo[END], todo[LEVEL] = ZERO, ZERO, np.uint64(prims.size), ZERO
+    area_of[0] = _half_area(box, ZERO)
     _write_box(nodes, ZERO, box, ZERO)
     n_todo, n_nodes, max_level = ONE, ONE, ZERO
     while n_todo > ZERO:
         n_todo -= ONE
-        d = n_todo * FOUR
-        node, start, end, level = todo[d], todo[d + ONE], todo[d + TWO], todo[d + THREE]
+        d = n_todo * ENTRY
+        node, start, end, level = todo[d + NODE], todo[d + START], todo[d + END], todo[d + LEVEL]
         max_level = max(max_level, level)
-        w, count, area = node * EIGHT, end - start, area_of[n_todo]
+        w, count, area = node * NODE_WORDS, end - start, area_of[n_todo]
         cost, axis, cut, n_bins = np.inf, ZERO, ZERO, ZERO
         if count == TWO:
             axis = _part_pair(records, start, spare)
-            if axis != THREE:
-                cost = _area(records, start) + _area(records, start + ONE)
+            if axis != AXES:
+                cost = _half_area(records, start) + _half_area(records, start + ONE)
         elif count > TWO:
             n_bins = min(np.uint64(N_BINS), np.uint64(FEWEST_BINS) + count // np.uint64(PER_BIN))
             _centroid_bounds(records, start, end, least, scale, n_bins)
@@ -266,8 +279,8 @@ def build_binned(records, numbers, box, nodes, words, prims):
         # cost of "no split", times nothing, is no split either.)
         if not area + cost < area * count:
             for i in range(start, end):
-                prims[i] = numbers[i * EIGHT + SIX]
-            words[w + SIX], words[w + SEVEN] = start, count << TWO | np.uint64(LEAF_AXIS)
+                prims[i] = numbers[i * RECORD_WORDS + NUMBER]
+            words[w + NODE_CHILD], words[w + NODE_META] = start, count << np.uint64(AXIS_BITS) | np.uint64(LEAF_AXIS)
             continue
         copy(sides, ZERO, empty, ZERO)
         copy(sides, ONE, empty, ZERO)
@@ -278,14 +291,14 @@ def build_binned(records, numbers, box, nodes, words, prims):
         else:
             position = _partition(records, start, end, axis, least[axis], scale[axis], n_bins, cut, spare)
             for j in range(n_bins):
-                grow(sides, ZERO if j < cut else ONE, bins, j * THREE + axis)
-        words[w + SIX], words[w + SEVEN] = n_nodes, axis
+                grow(sides, ZERO if j < cut else ONE, bins, j * AXES + axis)
+        words[w + NODE_CHILD], words[w + NODE_META] = n_nodes, axis
         for side in range(TWO):  # the right one waits below the left one
             _write_box(nodes, n_nodes + side, sides, side)
-        todo[d], todo[d + ONE], todo[d + TWO], todo[d + THREE] = n_nodes + ONE, position, end, level + ONE
-        d += FOUR
-        todo[d], todo[d + ONE], todo[d + TWO], todo[d + THREE] = n_nodes, start, position, level + ONE
-        area_of[n_todo], area_of[n_todo + ONE] = _area(sides, ONE), _area(sides, ZERO)
+        todo[d + NODE], todo[d + START], todo[d + END], todo[d + LEVEL] = n_nodes + ONE, position, end, level + ONE
+        d += ENTRY
+        todo[d + NODE], todo[d + START], todo[d + END], todo[d + LEVEL] = n_nodes, start, position, level + ONE
+        area_of[n_todo], area_of[n_todo + ONE] = _half_area(sides, ONE), _half_area(sides, ZERO)
         n_todo += TWO
         n_nodes += TWO
     return np.int64(n_nodes), np.int64(max_level)

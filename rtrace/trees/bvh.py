@@ -7,18 +7,47 @@ Manta's DynBVH): a leaf only when no split pays. There is no other limit on leaf
 import numpy as np
 
 from nptrace_base.errors import NptraceError
-from nptrace_base.jit import kernel
+from nptrace_base.jit import inlined, kernel
 from rtrace.trees import binned_sah
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room
-from rtrace.trees.tree import BVH_NODE, LEAF_AXIS, Tree, check_finite, triangle_boxes
+from rtrace.trees.tree import (
+    AXIS_BITS,
+    AXIS_MASK,
+    BVH_NODE,
+    BVH_WORDS,
+    CHILD,
+    LEAF_AXIS,
+    LOWER,
+    META,
+    UPPER,
+    Tree,
+    check_finite,
+    triangle_boxes,
+)
+
+BOX_FLOATS = 6  # lower x, y, z, upper x, y, z
+_INF = np.float32(np.inf)
+#: The box of nothing: grown to hold another one, it is that one.
+_EMPTY = (_INF, _INF, _INF, -_INF, -_INF, -_INF)
 
 
-@kernel
-def _area(x0, y0, z0, x1, y1, z1):
+@inlined
+def _half_area(box):
     """Half the surface of a box; float64, so that no scene is too small or too large."""
+    x0, y0, z0, x1, y1, z1 = box
     dx, dy, dz = np.float64(x1) - x0, np.float64(y1) - y0, np.float64(z1) - z0
     return dx * dy + dy * dz + dz * dx
+
+
+@inlined
+def _grown(box, boxes, triangle):
+    """Return a box made larger to hold that of a triangle."""
+    x0, y0, z0, x1, y1, z1 = box
+    b = BOX_FLOATS * triangle
+    lower = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
+    upper = max(x1, boxes[b + 3]), max(y1, boxes[b + 4]), max(z1, boxes[b + 5])
+    return lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]
 
 
 @kernel
@@ -27,42 +56,40 @@ def _sweep_axis(ids, start, end, boxes, right_area):
 
     ``position`` is the first index of the right side; among equal costs the lowest.
     """
-    x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
-    x1, y1, z1 = -x0, -y0, -z0
+    box = _EMPTY
     for i in range(end - 1, start, -1):
-        b = 6 * ids[i]
-        x0, y0, z0 = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
-        x1, y1, z1 = max(x1, boxes[b + 3]), max(y1, boxes[b + 4]), max(z1, boxes[b + 5])
-        right_area[i] = _area(x0, y0, z0, x1, y1, z1)
-    x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
-    x1, y1, z1 = -x0, -y0, -z0
+        box = _grown(box, boxes, ids[i])
+        right_area[i] = _half_area(box)
+    box = _EMPTY
     best, position = np.inf, -1
     for i in range(start, end - 1):
-        b = 6 * ids[i]
-        x0, y0, z0 = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
-        x1, y1, z1 = max(x1, boxes[b + 3]), max(y1, boxes[b + 4]), max(z1, boxes[b + 5])
-        cost = _area(x0, y0, z0, x1, y1, z1) * (i + 1 - start) + right_area[i + 1] * (end - i - 1)
+        box = _grown(box, boxes, ids[i])
+        cost = _half_area(box) * (i + 1 - start) + right_area[i + 1] * (end - i - 1)
         if cost < best:
             best, position = cost, i + 1
     return best, position
 
 
 @kernel
-def _box_of(ids, start, end, boxes, nodes, node):
+def _write_box(ids, start, end, boxes, nodes, node):
     """Write the box of ids[start:end] into ``node``."""
-    x0, y0, z0 = np.float32(np.inf), np.float32(np.inf), np.float32(np.inf)
-    x1, y1, z1 = -x0, -y0, -z0
+    box = _EMPTY
     for i in range(start, end):
-        b = 6 * ids[i]
-        x0, y0, z0 = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
-        x1, y1, z1 = max(x1, boxes[b + 3]), max(y1, boxes[b + 4]), max(z1, boxes[b + 5])
-    n = 8 * node
-    nodes[n], nodes[n + 1], nodes[n + 2], nodes[n + 3], nodes[n + 4], nodes[n + 5] = x0, y0, z0, x1, y1, z1
+        box = _grown(box, boxes, ids[i])
+    for k in range(BOX_FLOATS):
+        nodes[BVH_WORDS * node + LOWER + k] = box[k]
+
+
+@inlined
+def _box_of(nodes, node):
+    b, t = BVH_WORDS * node + LOWER, BVH_WORDS * node + UPPER
+    return nodes[b], nodes[b + 1], nodes[b + 2], nodes[t], nodes[t + 1], nodes[t + 2]
 
 
 @kernel
-def _longest_axis(nodes, n):
-    dx, dy, dz = nodes[n + 3] - nodes[n], nodes[n + 4] - nodes[n + 1], nodes[n + 5] - nodes[n + 2]
+def _longest_axis(box):
+    x0, y0, z0, x1, y1, z1 = box
+    dx, dy, dz = x1 - x0, y1 - y0, z1 - z0
     if dx >= dy and dx >= dz:
         return 0
     return 1 if dy >= dz else 2
@@ -87,8 +114,9 @@ def _partition(ids, start, end, goes_right, scratch):
 def _sort_leaves(words, n_nodes, prims, spare):
     """Bring the triangles of every leaf into ascending order."""
     for node in range(n_nodes):
-        if words[8 * node + 7] & 3 == LEAF_AXIS:
-            start, count = np.int64(words[8 * node + 6]), np.int64(words[8 * node + 7] >> 2)
+        meta = words[BVH_WORDS * node + META]
+        if meta & AXIS_MASK == LEAF_AXIS:
+            start, count = np.int64(words[BVH_WORDS * node + CHILD]), np.int64(meta >> AXIS_BITS)
             sort(prims[start : start + count], count, spare)
 
 
@@ -119,21 +147,22 @@ def _build(orders, boxes, nodes, words, prims, n):
     todo[0, 0], todo[0, 1], todo[0, 2], todo[0, 3] = 0, 0, n, 0
     n_todo, n_nodes, max_level = 1, np.int64(1), 0
     zero = np.int64(0)
-    _box_of(orders[:n], zero, n, boxes, nodes, zero)
+    _write_box(orders[:n], zero, n, boxes, nodes, zero)
     while n_todo > 0:
         n_todo -= 1
         node, start, end, level = todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3]
         max_level = max(max_level, level)
-        w, count = 8 * node, end - start
-        area = _area(nodes[w], nodes[w + 1], nodes[w + 2], nodes[w + 3], nodes[w + 4], nodes[w + 5])
+        w, count = BVH_WORDS * node, end - start
+        box = _box_of(nodes, node)
+        area = _half_area(box)
         cost, axis, position = np.inf, 0, -1
         if count > 1:
-            cost, axis, position = _sweep_split(orders, n, start, end, boxes, right_area, _longest_axis(nodes, w))
+            cost, axis, position = _sweep_split(orders, n, start, end, boxes, right_area, _longest_axis(box))
         # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
         # cost of "no split", times nothing, is no split either.)
         if not area + cost < area * count:
             prims[start:end] = orders[start:end]
-            words[w + 6], words[w + 7] = start, count << 2 | LEAF_AXIS
+            words[w + CHILD], words[w + META] = start, count << AXIS_BITS | LEAF_AXIS
             continue
         order = orders[axis * n : (axis + 1) * n]
         for i in range(start, end):
@@ -141,9 +170,9 @@ def _build(orders, boxes, nodes, words, prims, n):
         for k in range(3):
             if k != axis:
                 _partition(orders[k * n : (k + 1) * n], start, end, goes_right, scratch)
-        words[w + 6], words[w + 7] = n_nodes, axis
-        _box_of(order, start, position, boxes, nodes, n_nodes)
-        _box_of(order, position, end, boxes, nodes, n_nodes + 1)
+        words[w + CHILD], words[w + META] = n_nodes, axis
+        _write_box(order, start, position, boxes, nodes, n_nodes)
+        _write_box(order, position, end, boxes, nodes, n_nodes + 1)
         todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes + 1, position, end, level + 1
         n_todo += 1
         todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes, start, position, level + 1

@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.catalog import load_scene
+from rtrace.shading import shadow_rays
 from rtrace.traverse import trace
 from rtrace.trees.tree_cache import TREES, cached_tree
 from tests.bench.goals import ABSENT, GOALS, is_met

@@ -8,8 +8,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.scenes.scene import Scene
+from rtrace.shading import shadow_rays
 from rtrace.traverse import trace, trace_recorded
 from rtrace.trees.tree_cache import TREES, build_tree, cached_tree
 from tests.bench.measure import ratio, times

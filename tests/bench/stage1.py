@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from rtrace.checks.embree import embree_scene
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.render import CHUNK, Shooting, render
 from rtrace.scenes.scene import Scene
+from rtrace.shading import shadow_rays
 from rtrace.traverse import Rays, Room, trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree

@@ -233,6 +233,7 @@ def measure(paths):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize(("form", "rows"), [("run", (3e6, 12e6)), ("text", (1e6, 9e6)), ("binary", (1e6, 9e6))])
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_trace(tmp_path, form, rows):
     trace = make_trace("bvh", 1, n_rays=400, max_level=12)
     paths = []

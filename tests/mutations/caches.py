@@ -56,7 +56,7 @@ MUTATIONS = [
     Mutation("BVH: the highest of equal costs is taken", BV, "        if cost < best:\n            best, position = cost, i + 1", "        if cost <= best:\n            best, position = cost, i + 1", BVH),
     Mutation("BVH: the z axis is never tried", BV, "    for k in range(3):\n        cost, position", "    for k in range(2):\n        cost, position", BVH),
     Mutation("BVH: the longest axis is the shortest", BV, "if dx >= dy and dx >= dz:", "if dx <= dy and dx <= dz:", BVH),
-    Mutation("BVH: a child's box from its parent's triangles", BV, "_box_of(order, start, position, boxes, nodes, n_nodes)", "_box_of(order, start, end, boxes, nodes, n_nodes)", BVH),
+    Mutation("BVH: a child's box from its parent's triangles", BV, "_write_box(order, start, position, boxes, nodes, n_nodes)", "_write_box(order, start, end, boxes, nodes, n_nodes)", BVH),
     Mutation("BVH: the level of a right child is its parent's", BV, "n_nodes + 1, position, end, level + 1", "n_nodes + 1, position, end, level", BVH),
     # --- sweep ---
     Mutation("sweep: the upper end of a range is left out", "cachesim/grid.py", "range(int(low), int(high) + 1)", "range(int(low), int(high))", f"{SWEEP} -k range"),

@@ -44,7 +44,7 @@ MUTATIONS = [
     Mutation("meshes: bent polygons are not said", POLYGONS, "    if bent.size:\n", "    if False:\n", FILES),
     Mutation("meshes: a bent polygon is measured by its corners' sum", POLYGONS, "_FLAT = 1e-3", "_FLAT = 1", FILES),
     Mutation("meshes: a bad corner spoils the ears", POLYGONS, "    if not usable.all():\n", "    if False:\n", FILES),
-    Mutation("meshes: benchmark scenes are cut by ears", "rtrace/scenes/catalog.py", "load_mesh(own, strict=strict, fans=True)", "load_mesh(own, strict=strict)", f"{FILES} -k known"),
+    Mutation("meshes: benchmark scenes are cut by ears", "rtrace/scenes/catalog.py", "return load_mesh(mesh, strict=strict, fans=True)", "return load_mesh(mesh, strict=strict)", f"{FILES} -k known"),
     Mutation("meshes: gzip is no mesh", MESH, 'data.startswith(b"\\x1f\\x8b\\x08")', 'data.startswith(b"\\x1f\\x8b\\x09")', BOTH),
     Mutation("meshes: glTF weights of the mesh alone", GLTF, '(node if "weights" in node else mesh).reals', "mesh.reals", CORPUS),
     Mutation("meshes: glTF morph targets at full weight", GLTF, "points + weight * moves", "points + moves", CORPUS),

@@ -50,6 +50,7 @@ def read_all(run):
     return sum(len(node) for node, _ in run.batches()) + len(run.columns("rays")["t"]) + len(run.columns("nodes")["level"])
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_a_run_is_whole_or_the_one_before(folder):
     assert finish(render(folder, "64x64"))[0] == 0
     before = (folder / "traces" / "soup-bvh" / "accesses.parquet").read_bytes()
@@ -84,6 +85,7 @@ def test_a_disk_that_fills_up_is_said_and_leaves_nothing(folder):
     assert os.listdir(folder / "traces") == []
 
 
+@pytest.mark.slow
 def test_two_renders_into_one_run_leave_one_whole_run(folder):
     assert finish(render(folder, "64x64"))[0] == 0
     for _ in range(3):
@@ -130,6 +132,7 @@ def files_in(folder):
     return sorted(p.name for p in folder.iterdir() if p.is_file() and p.suffix != ".obj")
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_an_output_file_is_whole_or_the_one_before(folder):
     """A killed writer leaves at most a hidden temporary file, and the next writer of that file takes it away."""
     assert finish(render(folder, "160x160"))[0] == 0

@@ -48,6 +48,7 @@ def _mesh(triangles):
     return "\n".join([*lines, *(f"f {3 * i + 1} {3 * i + 2} {3 * i + 3}" for i in range(len(triangles)))])
 
 
+@pytest.mark.slow
 def test_every_command_prints_and_writes_the_same(tmp_path):
     results = []
     for plain in (True, False):

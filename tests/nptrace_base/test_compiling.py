@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from nptrace_base import compiling
 from nptrace_base.jit import cache_folder
 
@@ -53,6 +55,7 @@ def python(code, cwd, **environment):
     return subprocess.run([sys.executable, "-c", code], cwd=cwd, env=environment, capture_output=True, text=True, check=True)
 
 
+@pytest.mark.slow
 def test_no_kernel_is_compiled_twice_and_nothing_after_compile(tmp_path):
     """Read-only and other arrays, int64 and a literal are different types to Numba: each would be a compilation more."""
     seen = set()

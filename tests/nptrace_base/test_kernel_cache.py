@@ -95,6 +95,7 @@ def test_a_full_folder_stops_nothing(tmp_path):
     assert [p for p in (tmp_path / "full").rglob("*") if "tmp" in p.name] == []
 
 
+@pytest.mark.slow
 def test_a_damaged_kernel_is_compiled_again(tmp_path):
     kept = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
     replay(tmp_path, **kept)

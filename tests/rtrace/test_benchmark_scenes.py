@@ -7,9 +7,10 @@ import pytest
 
 from cachesim.prefetch import parse_prefetch
 from cachesim.source import RunSource
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.catalog import load_scene
+from rtrace.shading import shadow_rays
 from rtrace.traverse import trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree, sah_cost

@@ -34,6 +34,7 @@ TREES = ("kdtree", "bvh")
 
 
 @pytest.mark.parametrize("batch", [1, 3, 5000, CHUNK, CHUNK + 1, 10_500, 0])
+@pytest.mark.slow
 def test_a_batch_is_never_cut(tmp_path, batch):
     """The rays of each batch follow one another, primary before shadow, wherever chunks of pixels end."""
     quad = np.float32([[[-9, -9, 0], [9, -9, 0], [9, 9, 0]], [[-9, -9, 0], [0, 0, 0], [-9, 9, 0]]])
@@ -213,6 +214,7 @@ def deepest(events, tree):
 
 
 @pytest.mark.parametrize("kind", TREES)
+@pytest.mark.slow
 def test_a_stack_deeper_than_64(kind):
     """Visits and requests as the slow traverser has them; the requests derived from the visits are those traced."""
     triangles = powers_of_two()

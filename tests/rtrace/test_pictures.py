@@ -7,10 +7,11 @@ import pytest
 from PIL import Image
 
 from rtrace.camera import ORDERS, Camera
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import scene_from_triangles
 from rtrace.scenes.shapes import boxes, icosphere
+from rtrace.shading import shadow_rays
 from rtrace.traverse import trace
 from rtrace.trees.tree_cache import build_tree
 from traces.reader import open_run
@@ -91,7 +92,7 @@ def test_shadow_rays_start_and_end_four_units_away(kind, scale):
     tree = build_tree(floor, kind)
     primary = primary_rays(camera.frame(16, 16), np.arange(256, dtype=np.uint32), 16)
     hits = trace(tree, primary)
-    rays, owner, _, _ = shadow_rays(tree, primary, hits, (0.0, 2.0 * scale, 0.0))
+    rays, owner, _ = shadow_rays(tree, primary, hits, (0.0, 2.0 * scale, 0.0))
     assert len(owner) > 200
     np.testing.assert_array_equal(rays.origin[:, 1].astype(float), scale * (1 + 4 * 2.0**-23))
     reach = np.abs(rays.direction.astype(float)).max(axis=1)
@@ -108,6 +109,6 @@ def test_what_lies_sixteen_units_before_a_surface_shadows_it(kind):
     both = build_tree(np.concatenate([ceiling, sheet]), kind)
     assert (trace(both, primary).prim >= 2).any()
     hits = trace(build_tree(ceiling, kind), primary)  # on the ceiling, as if the sheet were not there
-    rays, owner, _, _ = shadow_rays(both, primary, hits, (0.0, 0.25, 0.0))
+    rays, owner, _ = shadow_rays(both, primary, hits, (0.0, 0.25, 0.0))
     assert len(owner) > 100
     assert (trace(both, rays, any_hit=True).prim >= 0).all()

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from rtrace.camera import ORDERS, Camera
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import scene_from_triangles
 from rtrace.scenes.shapes import boxes, icosphere
+from rtrace.shading import shadow_rays
 from rtrace.traverse import trace, trace_recorded
 from rtrace.trees.tree_cache import build_tree
 from tests.reference.traversal import events_of
@@ -105,7 +106,7 @@ def test_a_sphere_has_no_acne_and_no_leaks(tree, scale):
     camera = Camera((0, 0, 4 * scale), (0, 0, 0), fov=40)
     primary = primary_rays(camera.frame(96, 96), np.arange(96 * 96, dtype=np.uint32), 96)
     hits = trace(built, primary)
-    rays, owner, facing, _ = shadow_rays(built, primary, hits, light)
+    rays, owner, (facing, _) = shadow_rays(built, primary, hits, light)
     assert 2000 < len(owner) < (hits.prim >= 0).sum() < 96 * 96
     assert (trace(built, rays, any_hit=True).prim < 0).all()
     assert (facing[owner] > 0).all() and ((facing > 0).sum() == len(owner))
@@ -121,7 +122,7 @@ def test_a_light_on_a_surface_is_not_shadowed_by_it():
     for tree in TREES:
         for triangles, lit in ((room, True), (np.concatenate([room, plate]), False)):
             built = build_tree(triangles, tree)
-            rays, owner, _, _ = shadow_rays(built, primary, trace(built, primary), (0.0, 0.0, 2.0))
+            rays, owner, _ = shadow_rays(built, primary, trace(built, primary), (0.0, 0.0, 2.0))
             assert len(owner) == 1600
             assert (trace(built, rays, any_hit=True).prim < 0).all() == lit
 
@@ -130,7 +131,7 @@ def test_light_at_the_surface_needs_no_ray():
     quad = np.float32([[[-9, -9, 0], [9, -9, 0], [0, 9, 0]]])
     built = build_tree(quad, "bvh")
     primary = primary_rays(Camera((0, 0, 1), (0, 0, 0)).frame(1, 1), np.zeros(1, np.uint32), 1)
-    rays, owner, _, _ = shadow_rays(built, primary, trace(built, primary), (0.0, 0.0, 1e-30))
+    rays, owner, _ = shadow_rays(built, primary, trace(built, primary), (0.0, 0.0, 1e-30))
     assert len(owner) == 0 and len(rays.t_max) == 0
 
 

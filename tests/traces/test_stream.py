@@ -176,6 +176,7 @@ def test_what_is_packed_well_is_unpacked_piece_by_piece(tmp_path, data):
 # --- names and forms ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_names_that_are_no_text(tmp_path):
     folder = tmp_path / os.fsdecode(b"t\xe9")
     made = write(make_trace("kdtree", 2, n_rays=4), folder / os.fsdecode(b"bunn\xff-kdtree"))

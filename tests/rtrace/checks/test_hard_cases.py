@@ -11,8 +11,8 @@ import pytest
 from rtrace.checks import exact_answers, hard_cases
 from rtrace.checks.exact_answers import exact_answer, exact_hits, whole_numbers
 from rtrace.checks.hard_cases import STRUCTURES, Case, Row, exact_case, run_case
-from rtrace.chunk import shadow_rays
 from rtrace.scenes.shapes import icosphere
+from rtrace.shading import shadow_rays
 from rtrace.traverse import Hits, Rays, make_rays, trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
@@ -442,8 +442,8 @@ def with_t_max(t):
 )
 def test_a_broken_shadow_ray_is_caught(monkeypatch, broken, name, column):
     def broken_rays(tree, primary, hits, light):
-        rays, owner, facing, normal = shadow_rays(tree, primary, hits, light)
-        return broken(rays, primary, hits, owner), owner, facing, normal
+        rays, owner, surface = shadow_rays(tree, primary, hits, light)
+        return broken(rays, primary, hits, owner), owner, surface
 
     monkeypatch.setattr(hard_cases, "shadow_rays", broken_rays)
     for row in run_case(case_of(name)):

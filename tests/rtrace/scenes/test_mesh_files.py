@@ -11,7 +11,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from rtrace.scenes.downloads import load_archive
+from rtrace.scenes.catalog import load_archive
 from rtrace.scenes.meshes.polygons import strips, triangulate
 from rtrace.scenes.meshes.text import Text
 from rtrace.scenes.scene import SceneError, load_mesh

@@ -5,8 +5,9 @@ import hashlib
 import numpy as np
 import pytest
 
-from rtrace.chunk import primary_rays, shadow_rays
+from rtrace.chunk import primary_rays
 from rtrace.scenes.stand_ins import STAND_INS, stand_in
+from rtrace.shading import shadow_rays
 from rtrace.traverse import trace
 from rtrace.trees.tree_cache import build_tree
 
@@ -91,7 +92,7 @@ def test_the_picture_shows_the_scene_lit_and_in_shadow(name):
     primary = primary_rays(scene.camera.frame(96, 96), np.arange(96 * 96, dtype=np.uint32), 96)
     hits = trace(tree, primary)
     share = (hits.prim >= 0).mean()
-    rays, owner, _, _ = shadow_rays(tree, primary, hits, scene.light)
+    rays, owner, _ = shadow_rays(tree, primary, hits, scene.light)
     blocked = (trace(tree, rays, any_hit=True).prim >= 0).mean()
     if name == "blob":  # seen from outside: all of it, with a margin
         picture = (hits.prim >= 0).reshape(96, 96)
