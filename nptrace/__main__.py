@@ -1,7 +1,7 @@
-"""Where the two programs start, also as ``python -m nptrace``: nothing else is imported before it is known to be ours.
+"""The entry points of both programs and ``python -m nptrace``: packages are imported only once they are known to be ours.
 
 Other distributions have packages of our names (PyPI's pycachesim is imported as ``cachesim``, its traces as ``traces``).
-Beside ours they hide it, or are installed over it; then a traceback from the middle of a command would tell nobody why.
+They can hide ours or replace it; a traceback from the middle of a command would not explain that.
 """
 
 import importlib
@@ -12,7 +12,7 @@ from typing import NoReturn
 
 import nptrace as ours
 
-#: What is ours at the top of site-packages beside this package; ``cli`` last, which imports the others.
+#: Our other packages and modules at the top of site-packages; ``cli`` last, which imports the others.
 PARTS = ("nptrace_base", "traces", "rtrace", "cachesim", "cli")
 
 
@@ -26,13 +26,13 @@ def check_parts() -> None:
         beside = os.path.dirname(where) if name == "cli" else os.path.dirname(os.path.dirname(where))
         if beside != os.path.dirname(os.path.dirname(ours.__file__)) or not _is_ours(name):
             _leave(
-                f"{name} is imported from {where}, which is not nptrace's: another package of that name hides it; take that "
-                "off PYTHONPATH, or install nptrace into an environment of its own"
+                f"{name} is imported from {where}, which is not nptrace's: another package of that name hides it; remove that "
+                "from PYTHONPATH, or install nptrace into a separate environment"
             )
 
 
 def _is_ours(name: str) -> bool:
-    """Return whether a package that lies where ours does was not replaced by another one; ``cli`` is ours if these are."""
+    """Return whether a package in the place of ours is ours; ``cli`` is ours if these are."""
     if name == "cli":
         return True
     try:

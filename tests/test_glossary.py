@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import cli
 import nptrace_base.tables
-from rtrace.checks import embree, hard_cases
+from rtrace.checks import hard_cases
 
 GLOSSARY = (Path(cli.__file__).resolve().parent / "docs" / "glossary.md").read_text(encoding="utf-8")
 SMALL = ["--size", "16x16", "--offline"]
@@ -45,7 +45,8 @@ def headings_and_keys(tmp_path_factory):
         keys |= set(
             _keys(json.loads(run(cli.npcache, "sweep", "--traces", traces, "--size", "1K", "--ways", "1,2", "--json")))
         )
-    return headings, keys | set(embree.Row._fields) | set(hard_cases.Row._fields)
+    (hard_case,) = (each for each in vars(hard_cases).values() if hasattr(each, "is_good"))  # a long run prints it
+    return headings, keys | set(hard_case._fields)
 
 
 def _keys(value):

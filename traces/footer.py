@@ -1,4 +1,4 @@
-"""The footer of a run: all that decides its bytes, and the sizes of its tables. The renderer writes it, all others read it.
+"""The footer of a run: everything that decides its bytes, and the sizes of its tables; written by the renderer, read by all.
 
 In the files it is JSON, the same in each; in the code it is a ``Footer``. README.md lists the entries.
 """
@@ -41,7 +41,7 @@ class CameraFacts:
 
 @dataclass(frozen=True, slots=True)
 class TreeFacts:
-    """The tree of a run: ``"kdtree"`` or ``"bvh"``, the bytes of a node, and what its builder was asked for."""
+    """The tree of a run: ``"kdtree"`` or ``"bvh"``, the bytes of a node, and its builder's parameters."""
 
     kind: str
     node_bytes: int
@@ -50,26 +50,26 @@ class TreeFacts:
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """What is known of a run without reading its rows.
+    """The facts about a run that need no reading of its rows.
 
     Attributes
     ----------
     tool_version, command : str
-        What wrote it; ``command`` makes it again.
+        The version that wrote it; ``command`` makes it again.
     scene : SceneFacts
     camera : CameraFacts
     light : 3 floats
     width, height : int
         Pixels.
     order : str
-        Of the pixels.
+        Order of the pixels.
     batch : int
         Primary rays before their shadow rays; 0: all of them.
     seed : int
-        Of the random order.
+        Seed of the random order.
     tree : TreeFacts
     layout, prefetch : str and dict
-        Where the nodes lie, and the policy whose requests are in the trace.
+        The layout of the nodes, and the policy of the recorded requests.
     image_sha256 : str or None
         Of ``image.png``; runs of earlier versions lack it.
     n_accesses, n_rays, n_nodes : int
@@ -95,7 +95,7 @@ class Footer:
     n_nodes: int = 0
 
     def to_json(self) -> bytes:
-        """Return the text that stands in the files."""
+        """Return the text in the files."""
         values = asdict(self)
         values["tree"] |= values["tree"].pop("params")
         if self.image_sha256 is None:
@@ -103,7 +103,7 @@ class Footer:
         return json.dumps({"format_version": FORMAT_VERSION, **values}, sort_keys=True).encode()
 
     def differences(self, other: "Footer") -> list[str]:
-        """Return the entries in which two runs are not the same; who wrote them, and where the mesh lies, do not count."""
+        """Return the entries in which two runs differ; their versions and the places of their meshes do not count."""
         mesh, others = ((footer.scene.sha256, footer.scene.stand_in) for footer in (self, other))
         if mesh != others:
             return ["scene"]  # its camera and light are others too
@@ -115,20 +115,20 @@ _CONTENT = ("camera", "light", "width", "height", "order", "batch", "seed", "tre
 
 
 def parse_footer(text: bytes, path: Path) -> Footer:
-    """Return the footer of the run at ``path``; RunError if it is none, of another format version, or lacks an entry."""
+    """Return the footer of the run at ``path``; RunError if it is invalid, of another format version, or incomplete."""
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as e:
         raise RunError(f"{path} is damaged ({e} in its footer); render it again") from e
     if not isinstance(values, dict):
-        raise RunError(f"{path} is damaged (its footer is {str(values)[:40]!r}, no object); render it again")
+        raise RunError(f"{path} is damaged (its footer is {str(values)[:40]!r}, not an object); render it again")
     version = _checked(object, values.get("format_version"), "format_version", path)
     if version != FORMAT_VERSION:
-        raise RunError(f"{path} has format version {version}, this program reads {FORMAT_VERSION}; render it again")
+        raise RunError(f"{path} has format version {version}, and this program reads {FORMAT_VERSION}; render it again")
     footer: Footer = _parsed(Footer, values, "", path)
     tree = footer.tree
     if tree.kind not in ("kdtree", "bvh") or not 1 <= tree.node_bytes <= MAX_NODE_BYTES:
-        raise RunError(f"{path} is of a {tree.kind!r} of {tree.node_bytes}-byte nodes; only kdtree and bvh are known")
+        raise RunError(f"{path} has a tree {tree.kind!r} with {tree.node_bytes}-byte nodes; only kdtree and bvh are known")
     return footer
 
 
@@ -136,7 +136,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-#: What an entry of a type is in JSON, and whether a value is that.
+#: The JSON form of a type, and whether a value has it.
 _RULES: dict[object, tuple[str, Callable[[Any], bool]]] = {
     object: ("a value", lambda value: value is not None),
     str: ("a text", lambda value: isinstance(value, str)),
@@ -156,12 +156,12 @@ def _checked(type_: object, value: Any, entry: str, path: Path) -> Any:
         raise RunError(f"{path} has no {entry} in its footer; render it again")
     rule, is_good = _RULES[type_]
     if not is_good(value):
-        raise RunError(f"{path} has {str(value)[:40]!r} as {entry} in its footer, and not {rule}; render it again")
+        raise RunError(f"{path} has {str(value)[:40]!r} as {entry} in its footer, not {rule}; render it again")
     return tuple(value) if isinstance(value, list) else value
 
 
 def _parsed(facts: Any, values: dict[str, Any], of: str, path: Path) -> Any:
-    """Return the dataclass ``facts`` with its entries from JSON; ``of`` is the entry it stands in."""
+    """Return the dataclass ``facts`` with its entries from JSON; ``of`` is the entry that holds it."""
     found = {}
     for each in fields(facts):
         entry, value = f"{of}{each.name}", values.get(each.name)

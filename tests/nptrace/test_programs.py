@@ -62,8 +62,8 @@ def test_a_package_that_hides_ours_is_one_sentence(tmp_path, name):
         done = started(program, "--help", path=f"{tmp_path}{os.pathsep}{ROOT}", cwd="/")
         assert (done.returncode, done.stdout) == (2, "")
         assert done.stderr == (
-            f"Error: {name} is imported from {file}, which is not nptrace's: another package of that name hides it; take that "
-            "off PYTHONPATH, or install nptrace into an environment of its own\n"
+            f"Error: {name} is imported from {file}, which is not nptrace's: another package of that name hides it; remove "
+            "that from PYTHONPATH, or install nptrace into a separate environment\n"
         )
 
 

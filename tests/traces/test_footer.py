@@ -79,7 +79,7 @@ def test_a_missing_entry_is_named(entry):
 def test_an_entry_of_another_type_is_named(entry, value, rule):
     with pytest.raises(RunError) as error:
         parse_footer(changed(entry, value), HERE)
-    assert str(error.value) == f"a-bvh has {str(value)!r} as {entry} in its footer, and not {rule}; render it again"
+    assert str(error.value) == f"a-bvh has {str(value)!r} as {entry} in its footer, not {rule}; render it again"
 
 
 @pytest.mark.parametrize(
@@ -88,9 +88,9 @@ def test_an_entry_of_another_type_is_named(entry, value, rule):
         (b"", "is damaged ("),
         (b"\xff", "is damaged ("),
         (b"[" * 100_000, "is damaged ("),
-        (b"[]", "is damaged (its footer is '[]', no object)"),
-        (b"null", "is damaged (its footer is 'None', no object)"),
-        (b'{"format_version": 9}', "has format version 9, this program reads 1"),
+        (b"[]", "is damaged (its footer is '[]', not an object)"),
+        (b"null", "is damaged (its footer is 'None', not an object)"),
+        (b'{"format_version": 9}', "has format version 9, and this program reads 1"),
     ],
 )
 def test_what_is_no_footer(text, sentence):

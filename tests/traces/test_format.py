@@ -193,7 +193,7 @@ def test_other_versions_mixed_runs_and_wrong_counts_are_refused(tmp_path, name):
         open_run(tmp_path / "run")
     for each in ("accesses", "rays", "nodes"):
         rewrite_footer(tmp_path / "run" / f"{each}.parquet", lambda m: m.update(format_version=9))
-    with pytest.raises(RunError, match="format version 9, this program reads 1"):
+    with pytest.raises(RunError, match="format version 9, and this program reads 1"):
         open_run(tmp_path / "run")
 
 
