@@ -15,9 +15,9 @@ from cachesim.access import MISC, PREFETCH, READ
 from cachesim.cache import ALWAYS, NEVER, ON_MISS, TAGGED
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
-
-# The kinds of a row of accesses.parquet (traces.format; numbers here because a kernel needs constants of its own).
-KIND_PUSH, KIND_LEAF, KIND_PREFETCH = 1, 2, 3
+from traces.format import LEAF as KIND_LEAF
+from traces.format import PREFETCH as KIND_PREFETCH
+from traces.format import PUSH as KIND_PUSH
 
 #: A request of the pre-fetch unit as a label: what DineroIV calls type b.
 REQUEST = PREFETCH | MISC

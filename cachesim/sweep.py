@@ -1,4 +1,4 @@
-"""Many LRU caches in one pass: a source and a grid of configurations in, one exact Row per configuration out.
+"""Many LRU caches in one pass: a source and a grid of configurations in, one exact SweepRow per configuration out.
 
 All caches of one line size share the trace, decoded once, and one walk over the numbers of sets from few to many (Mattson
 1970, Hill and Smith 1989). Each set keeps its lines newest first, so the place where a line is found says which numbers of
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from cachesim.access import PREFETCH
-from cachesim.all_associativity import Levels
+from cachesim.all_associativity import SetCounts
 from cachesim.config import CacheConfig
 from cachesim.layout import Layout
 from cachesim.prefetch import Prefetch, parse_prefetch
@@ -35,7 +35,7 @@ from traces.reader import Run
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SweepRow:
     """Counts of one LRU cache, with the names that ``npcache replay`` uses.
 
     ``demand_misses`` and ``prefetch_misses`` are those with pre-fetching (B), ``demand_misses_without`` those of the demand
@@ -88,7 +88,7 @@ def sweep(
     layout: Layout | str = "stored",
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
-) -> list[Row]:
+) -> list[SweepRow]:
     """Count the misses of every cache, exactly, in one pass per line size; return one row each, in the order of ``configs``.
 
     Parameters
@@ -166,11 +166,11 @@ class _Group:
             steps += demand.steps(own, own_ids, own_labels, self._lines.n_ids)
         return steps
 
-    def row(self, source: Source, config: CacheConfig, prefetch: Prefetch) -> Row:
+    def row(self, source: Source, config: CacheConfig, prefetch: Prefetch) -> SweepRow:
         """Return what was counted for one cache."""
         everything, demand = self._streams[0], self._streams[-1]
         demand_misses, prefetch_misses = everything.misses(config)
-        return Row(
+        return SweepRow(
             run=source.name,
             config=config,
             prefetch=str(prefetch),
@@ -188,7 +188,7 @@ class _Stream:
 
     def __init__(self, configs: Sequence[CacheConfig]) -> None:
         several = [config for config in configs if config.n_sets > 1]
-        self._levels = Levels(several) if several else None
+        self._set_counts = SetCounts(several) if several else None
         self._distances = StackDistances() if len(several) < len(configs) else None
         self.n_demand = self.n_prefetches = 0
 
@@ -198,8 +198,8 @@ class _Stream:
         self.n_prefetches += n_prefetches
         self.n_demand += labels.size - n_prefetches
         steps: list[tuple[Any, ...]] = []
-        if self._levels is not None:
-            steps.append((self._levels.step, lines, labels))
+        if self._set_counts is not None:
+            steps.append((self._set_counts.step, lines, labels))
         if self._distances is not None:
             steps.append((self._distances.step, ids, labels, n_ids))
         return steps
@@ -208,5 +208,5 @@ class _Stream:
         """Return the misses of demand accesses and of pre-fetches in one cache."""
         if config.n_sets == 1 and self._distances is not None:
             return self._distances.misses(config.ways)
-        assert self._levels is not None
-        return self._levels.misses(config)
+        assert self._set_counts is not None
+        return self._set_counts.misses(config)

@@ -11,7 +11,7 @@ CH, RD, ST, DI = "traces/validation.py", "traces/reader.py", "traces/stream.py",
 MUTATIONS = [
     # --- values ---
     Mutation("values: nulls are not seen", CH, "    if column.null_count:", "    if column.null_count < 0:", VALUES),
-    Mutation("values: any kind will do", CH, "kinds[i] > _LAST_KIND or not (allowed[node] >> kinds[i]) & np.uint8(1)", "not (allowed[node] >> (kinds[i] & 3)) & np.uint8(1)", VALUES),
+    Mutation("values: any kind will do", CH, "kinds[i] > PREFETCH or not (allowed[node] >> kinds[i]) & np.uint8(1)", "not (allowed[node] >> (kinds[i] & 3)) & np.uint8(1)", VALUES),
     Mutation("values: a node one beyond the tree's", CH, "if node >= n or kinds", "if node > n or kinds", "tests/traces/test_run_values.py tests/test_fuzz.py"),
     Mutation("values: nodes with children may be entered as leaves", CH, "inner, leaf = 1 << READ | 1 << PUSH", "inner, leaf = 1 << READ | 1 << LEAF | 1 << PUSH", VALUES),
     Mutation("values: a kd-tree's leaf may be missed", CH, 'if tree != "kdtree":', "if tree:", VALUES),
@@ -29,7 +29,7 @@ MUTATIONS = [
     Mutation("values: a quick look does not compare kinds", CH, " and bits_of_kinds <= last_kind", "", "tests/traces/test_access_check.py"),
     Mutation("values: a quick look lets a node one beyond by", CH, "return highest <= last and", "return highest <= last + 1 and", "tests/traces/test_access_check.py"),
     Mutation("values: a quick look lets every kind by", CH, "is_allowed &= np.uint64(allowed[", "is_allowed |= np.uint64(allowed[", "tests/traces/test_access_check.py"),
-    Mutation("values: rows count from the batch", RD, "                row += read.num_rows\n", "", VALUES),
+    Mutation("values: rows count from the batch", RD, "            row += read.num_rows\n", "", VALUES),
     Mutation("values: the walk's rows count from the batch", "cachesim/prefetch.py", "        self._n_rows += nodes.size\n", "        self._n_rows += 1\n", "tests/test_fuzz.py tests/traces/test_run_values.py"),
     Mutation("values: a BVH discards what it popped", "cachesim/prefetch.py", "sp = sp - 1 if is_kd else np.int64(0)", "sp -= 1", "tests/cachesim/test_prefetch.py tests/test_fuzz.py"),
     Mutation("values: other types are refused", CH, "return inner == wanted or pa.types.is_integer(inner) or pa.types.is_floating(inner)", "return inner == wanted", VALUES),
