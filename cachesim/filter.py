@@ -25,6 +25,7 @@ and a sequential pre-fetcher is triggered by accesses that hit.
 
 from collections.abc import Iterable, Iterator, Sequence
 from math import gcd
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,6 +68,25 @@ def check_exact(
         raise NptraceError(f"{prefetch} is triggered by accesses that a filter drops; replay without the filter")
 
 
+class Newest(NamedTuple):
+    """What a filter remembers: of each of its sets, the line last used.
+
+    Attributes
+    ----------
+    tags : (n_sets,) uint64
+        2 * line, plus 1 unless ``keep_first_use`` waits for the line's first demand access; updated in place.
+    n_sets, mask : int
+        As ``set_of`` takes them.
+    keep_first_use : bool
+        Whether the account of prefetches needs the first demand access to a line.
+    """
+
+    tags: np.ndarray
+    n_sets: int
+    mask: int
+    keep_first_use: bool
+
+
 class DirectFilter:
     """A filter and what it remembers between batches.
 
@@ -84,14 +104,13 @@ class DirectFilter:
     """
 
     def __init__(self, n_sets: int, *, keep_first_use: bool = False) -> None:
-        self._n_sets, self._mask, self._keep_first_use = n_sets, set_mask(n_sets), keep_first_use
-        self._newest = np.full(n_sets, _NONE, np.uint64)
+        self._newest = Newest(np.full(n_sets, _NONE, np.uint64), n_sets, set_mask(n_sets), keep_first_use)
         self.n_dropped_demand = self.n_dropped_prefetches = 0
 
     def accesses(self, lines: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the (line uint32, label uint8) pairs that are kept, in order."""
         kept, kept_labels = np.empty(lines.size, np.uint32), np.empty(lines.size, np.uint8)
-        n = drop_repeats(lines, labels, self._n_sets, self._mask, self._newest, self._keep_first_use, kept, kept_labels)
+        n = drop_repeats(lines, labels, self._newest, kept, kept_labels)
         kept, kept_labels = kept[:n], kept_labels[:n]
         self._note(int(np.count_nonzero(labels >= PREFETCH)), lines.size, kept_labels)
         return kept, kept_labels
@@ -105,9 +124,7 @@ class DirectFilter:
         """
         kept, kept_labels = np.empty(rows.size, np.uint32), np.empty(rows.size, np.uint8)
         counted = np.zeros(totals.size, np.int64)
-        n = look_up_and_drop(
-            table, rows, labels, self._n_sets, self._mask, self._newest, self._keep_first_use, counted, kept, kept_labels
-        )
+        n = look_up_and_drop(table, rows, labels, self._newest, counted, kept, kept_labels)
         totals += counted
         kept, kept_labels = kept[:n], kept_labels[:n]
         self._note(int(counted[PREFETCH:].sum()), rows.size, kept_labels)
@@ -129,32 +146,29 @@ def filtered(
 
 
 @inlined
-def _is_kept(line, label, n_sets, mask, newest, keep_first_use):
-    """Return whether a filter keeps an access, which is then the newest of its set.
-
-    ``newest`` is 2 * line per filter set, plus 1 unless ``keep_first_use`` waits for the line's first demand access.
-    """
-    s = np.uint64(set_of(np.int64(line), n_sets, mask))
-    tag, before = (np.uint64(line) << ONE) | ONE, newest[s]
+def _is_kept(line, label, newest):
+    """Return whether a filter keeps an access, which is then the newest of its set."""
+    s = np.uint64(set_of(np.int64(line), newest.n_sets, newest.mask))
+    tag, before = (np.uint64(line) << ONE) | ONE, newest.tags[s]
     if before == tag:
         return False
-    if keep_first_use and label >= PREFETCH:
+    if newest.keep_first_use and label >= PREFETCH:
         tag ^= ONE
         if before == tag:
             return False
-    newest[s] = tag
+    newest.tags[s] = tag
     return True
 
 
 @kernel
-def drop_repeats(lines, labels, n_sets, mask, newest, keep_first_use, kept, kept_labels):
+def drop_repeats(lines, labels, newest, kept, kept_labels):
     """Copy the accesses that a filter keeps; return how many."""
     n = np.uint64(0)
     for i in range(lines.size):
         line, label = lines[i], labels[i]
         # A branch: copying always and advancing by 0 or 1 took 0.65 to 3.5 times the time (mean 1.4), as each access then
         # waits for the one before it in its set.
-        if _is_kept(line, label, n_sets, mask, newest, keep_first_use):
+        if _is_kept(line, label, newest):
             kept[n] = line
             kept_labels[n] = label
             n += ONE
@@ -162,13 +176,13 @@ def drop_repeats(lines, labels, n_sets, mask, newest, keep_first_use, kept, kept
 
 
 @kernel
-def look_up_and_drop(table, rows, labels, n_sets, mask, newest, keep_first_use, totals, kept, kept_labels):
+def look_up_and_drop(table, rows, labels, newest, totals, kept, kept_labels):
     """As ``drop_repeats`` for the lines table[rows]; count the labels into totals."""
     n = np.uint64(0)
     for i in range(rows.size):
         line, label = table[rows[i]], labels[i]
         totals[label] += 1
-        if _is_kept(line, label, n_sets, mask, newest, keep_first_use):
+        if _is_kept(line, label, newest):
             kept[n] = line
             kept_labels[n] = label
             n += ONE

@@ -102,9 +102,9 @@ MUTATIONS = [
     Mutation("reuse: a cache of n lines misses at distance n", RE, "self.counts[n_lines + 1 :]", "self.counts[n_lines:]", f"{SWEEP} -k distance"),
     Mutation("reuse: counts are lost when there is more room", RE, "counts[: self.counts.shape[0]], slot[: self._slot.size] = self.counts, self._slot", "slot[: self._slot.size] = self._slot", f"{SWEEP} -k distance"),
     # --- filter ---
-    Mutation("filter: the last line of any set is dropped", FI, "s = np.uint64(set_of(np.int64(line), n_sets, mask))", "s = np.uint64(set_of(np.int64(line), n_sets, mask)) // np.uint64(2)", f"{SWEEP} -k filter"),
-    Mutation("filter: nothing is remembered", FI, "    newest[s] = tag\n", "", f"{SWEEP} -k filter"),
-    Mutation("filter: a first use after a pre-fetch is dropped", FI, "    if keep_first_use and label >= PREFETCH:\n        tag ^= ONE", "    if keep_first_use and label >= PREFETCH:\n        tag ^= np.uint64(0)", f"{SWEEP} -k filter"),
+    Mutation("filter: the last line of any set is dropped", FI, "s = np.uint64(set_of(np.int64(line), newest.n_sets, newest.mask))", "s = np.uint64(set_of(np.int64(line), newest.n_sets, newest.mask)) // np.uint64(2)", f"{SWEEP} -k filter"),
+    Mutation("filter: nothing is remembered", FI, "    newest.tags[s] = tag\n", "", f"{SWEEP} -k filter"),
+    Mutation("filter: a first use after a pre-fetch is dropped", FI, "    if newest.keep_first_use and label >= PREFETCH:\n        tag ^= ONE", "    if newest.keep_first_use and label >= PREFETCH:\n        tag ^= np.uint64(0)", f"{SWEEP} -k filter"),
     Mutation("filter: any number of sets is taken as exact", FI, "if config.n_sets % n_sets:", "if config.n_sets < n_sets:", f"{SWEEP} -k filter"),
     Mutation("filter: any line size is taken as exact", FI, "if config.line_bytes != line_bytes:", "if config.line_bytes < line_bytes:", f"{SWEEP} -k filter"),
     Mutation("filter: the largest common number of sets is the smallest", FI, "return gcd(*(config.n_sets for config in configs)) or 1", "return min(config.n_sets for config in configs)", f"{SWEEP} -k filter"),
