@@ -31,7 +31,7 @@ class SetCounts:
     Attributes
     ----------
     counts : (n_set_counts, 2, depths) int64
-        Demand accesses and pre-fetches that found their line at depth 1, 2 ... of its set; the last: not at all. Those at
+        Demand accesses and prefetches that found their line at depth 1, 2 ... of its set; the last: not at all. Those at
         depth 0, the newest line, are not counted: they hit everywhere.
     """
 
@@ -51,7 +51,7 @@ class SetCounts:
              self.counts.reshape(-1), self.counts.shape[2])  # fmt: skip
 
     def misses(self, config: CacheConfig) -> tuple[int, int]:
-        """Return the misses of demand accesses and of pre-fetches in one cache."""
+        """Return the misses of demand accesses and of prefetches in one cache."""
         k = config.n_sets.bit_length() - 1 - self._first
         demand, prefetch = self.counts[k, :, config.ways - 1 :].sum(axis=1)
         return int(demand), int(prefetch)

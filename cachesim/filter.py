@@ -6,21 +6,21 @@ every cache with the same line size whose number of sets is a multiple of F, a d
     Lines that share a set of the cache share a set of the filter, because F divides the number of sets. So since the last
     access to line x, no other line of x's set was used. That access left x in the cache, nothing could evict it since, and x
     is the most recent line of its set. So this access hits. LRU would move to the front what is in front; FIFO and random
-    replacement do nothing on a hit (ours draws no random number then). A pre-fetch fills and refreshes as a read does, so it
+    replacement do nothing on a hit (ours draws no random number then). A prefetch fills and refreshes as a read does, so it
     filters as a read does.
 
 The next access then finds the same state with the access or without, whatever other accesses were dropped: by induction every
 access that is kept hits or misses as before, and all misses are kept. Where F does not divide the number of sets, x's set may
 hold lines of other filter sets, and one of them may have evicted x.
 
-What still holds of the account of pre-fetches: a dropped pre-fetch is a redundant one. A dropped demand access may have been
-the first use of a line that a pre-fetch filled. With ``keep_first_use`` a demand access is dropped only if a demand access
+What still holds of the account of prefetches: a dropped prefetch is a redundant one. A dropped demand access may have been
+the first use of a line that a prefetch filled. With ``keep_first_use`` a demand access is dropped only if a demand access
 came before it since another line of its filter set was used, so the line had its first use then, and every count of the
 account is exact. Then the demand accesses kept also serve the demand stream alone (A of the paper): between the two no other
 line of the filter set was used, so none in the demand stream. Without it, A needs a filter of its own.
 
 What does not hold: the fully associative cache beside the real one in a 3C classification no longer sees which line is older,
-and a sequential pre-fetcher is triggered by accesses that hit.
+and a sequential prefetcher is triggered by accesses that hit.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -95,12 +95,12 @@ class DirectFilter:
     n_sets : int
         Any number; ``filter_sets`` gives the best one.
     keep_first_use : bool
-        Also keep the accesses that the account of pre-fetches needs.
+        Also keep the accesses that the account of prefetches needs.
 
     Attributes
     ----------
     n_dropped_demand, n_dropped_prefetches : int
-        Accesses dropped so far. All of them hit; the pre-fetches among them are redundant.
+        Accesses dropped so far. All of them hit; the prefetches among them are redundant.
     """
 
     def __init__(self, n_sets: int, *, keep_first_use: bool = False) -> None:

@@ -7,9 +7,9 @@ found first and nothing moves: the walk stops there. (Every number of sets is th
 the next; a filter in front drops what the first step stops at, and did not pay.) With a single set, the fully associative
 caches, the stack distances of ``cachesim.stack_distance`` serve all sizes at once.
 
-Pre-fetches that come with the trace act like reads, so what a cache holds does not depend on who asked: one pass counts demand
-accesses and pre-fetches apart (B of the paper), and a second over the demand accesses alone gives A. This is not so for FIFO
-and random replacement, which have no such order, nor for pre-fetchers that react to hits and misses: both are refused.
+Prefetches that come with the trace act like reads, so what a cache holds does not depend on who asked: one pass counts demand
+accesses and prefetches apart (B of the paper), and a second over the demand accesses alone gives A. This is not so for FIFO
+and random replacement, which have no such order, nor for prefetchers that react to hits and misses: both are refused.
 """
 
 import os
@@ -38,7 +38,7 @@ from traces.reader import Run
 class SweepRow:
     """Counts of one LRU cache, with the names that ``npcache replay`` uses.
 
-    ``demand_misses`` and ``prefetch_misses`` are those with pre-fetching (B), ``demand_misses_without`` those of the demand
+    ``demand_misses`` and ``prefetch_misses`` are those with prefetching (B), ``demand_misses_without`` those of the demand
     accesses alone (A).
     """
 
@@ -100,7 +100,7 @@ def sweep(
     prefetch : Prefetch or str
         Any policy whose requests do not depend on the cache.
     threads : int, optional
-        Passes run at a time, of which each line size has two, with pre-fetches and without; as many as there are cores when
+        Passes run at a time, of which each line size has two, with prefetches and without; as many as there are cores when
         None. The counts do not depend on it.
     progress : callable, optional
         Called with the number of events done after each batch.
@@ -184,7 +184,7 @@ class _Group:
 
 
 class _Stream:
-    """One stream of accesses, with pre-fetches or without, and what counts it: one set apart from several."""
+    """One stream of accesses, with prefetches or without, and what counts it: one set apart from several."""
 
     def __init__(self, configs: Sequence[CacheConfig]) -> None:
         several = [config for config in configs if config.n_sets > 1]
@@ -205,7 +205,7 @@ class _Stream:
         return steps
 
     def misses(self, config: CacheConfig) -> tuple[int, int]:
-        """Return the misses of demand accesses and of pre-fetches in one cache."""
+        """Return the misses of demand accesses and of prefetches in one cache."""
         if config.n_sets == 1 and self._distances is not None:
             return self._distances.misses(config.ways)
         assert self._set_counts is not None
