@@ -19,30 +19,31 @@ from nptrace_base.jit import instructions, kernel
 LANES = 16
 NO_LINE = 0xFFFFFFFF
 
-ZERO, ONE, TWO, EIGHT, SIXTEEN = (np.uint64(n) for n in (0, 1, 2, LANES // 2, LANES))
+ZERO, ONE = np.uint64(0), np.uint64(1)
+N_NEWEST, N_LANES = np.uint64(2), np.uint64(LANES)  # lines of a set that are kept together
 
 
-class Levels:
+class SetCounts:
     """Every LRU cache with the numbers of sets and ways of some configurations, for one stream of lines.
 
-    Level l has 2^l sets, and its sets follow those of the level before.
+    Number k of sets is 2^(first + k); its sets follow those of the number before.
 
     Attributes
     ----------
-    counts : (n_levels, 2, depths) int64
-        Demand accesses and pre-fetches that found their line at depth 1, 2 ... of its set; the last: not at all. Those at
+    counts : (n_set_counts, 2, depths) int64
+        Demand accesses and prefetches that found their line at depth 1, 2 ... of its set; the last: not at all. Those at
         depth 0, the newest line, are not counted: they hit everywhere.
     """
 
     def __init__(self, configs: Sequence[CacheConfig]) -> None:
         exponents = [config.n_sets.bit_length() - 1 for config in configs]
-        self._first, n_levels = min(exponents), max(exponents) - min(exponents) + 1
+        self._first, n_set_counts = min(exponents), max(exponents) - min(exponents) + 1
         n_deeper = max(-(-(max(config.ways for config in configs) - 2 - LANES) // LANES), 0)
-        n_sets = (1 << (self._first + n_levels)) - (1 << self._first)
+        n_sets = (1 << (self._first + n_set_counts)) - (1 << self._first)
         self._newest = _aligned(2 * n_sets)  # the two newest lines of each set
         self._older = _aligned(LANES * n_sets)  # the next ones
         self._oldest = _aligned(LANES * n_deeper * n_sets)  # and those beyond, if there are so many ways
-        self.counts = np.zeros((n_levels, 2, 2 + LANES + LANES * n_deeper), np.int64)
+        self.counts = np.zeros((n_set_counts, 2, 2 + LANES + LANES * n_deeper), np.int64)
 
     def step(self, lines: np.ndarray, labels: np.ndarray) -> None:
         """Take the next (line uint32, label uint8) pairs."""
@@ -50,9 +51,9 @@ class Levels:
              self.counts.reshape(-1), self.counts.shape[2])  # fmt: skip
 
     def misses(self, config: CacheConfig) -> tuple[int, int]:
-        """Return the misses of demand accesses and of pre-fetches in one cache."""
-        level = config.n_sets.bit_length() - 1 - self._first
-        demand, prefetch = self.counts[level, :, config.ways - 1 :].sum(axis=1)
+        """Return the misses of demand accesses and of prefetches in one cache."""
+        k = config.n_sets.bit_length() - 1 - self._first
+        demand, prefetch = self.counts[k, :, config.ways - 1 :].sum(axis=1)
         return int(demand), int(prefetch)
 
 
@@ -122,37 +123,41 @@ def put_first(typing_context, lines, at, line, carried):
 
 
 @kernel
-def walk(lines, labels, first, n_levels, newest, older, oldest, counts, n_depths):
-    """Access each line at one number of sets after the other, from 2^first on, until it is the newest of its set."""
+def walk(lines, labels, first, n_set_counts, newest, older, oldest, counts, n_depths):
+    """Access each line at one number of sets after the other, from 2^first on, until it is the newest of its set.
+
+    ``counts`` has ``n_depths`` bins for the demand accesses and as many for the prefetches of each number of sets.
+    """
     n_depths, n_oldest = np.uint64(n_depths), np.uint64(2 * oldest.size // newest.size)
-    first_mask, row = (ONE << np.uint64(first)) - ONE, TWO * n_depths
+    first_mask, bins_of_both = (ONE << np.uint64(first)) - ONE, n_depths + n_depths
     for i in range(lines.size):
         line = lines[i]
-        k = n_depths if labels[i] >= PREFETCH else ZERO
-        stop = k + np.uint64(n_levels) * row
-        level, mask = ZERO, first_mask
-        while k < stop:
-            at = (level + (np.uint64(line) & mask)) * TWO
-            carried = newest[at]
+        bins = n_depths if labels[i] >= PREFETCH else ZERO
+        end = bins + np.uint64(n_set_counts) * bins_of_both
+        first_set, mask = ZERO, first_mask
+        while bins < end:
+            s = first_set + (np.uint64(line) & mask)
+            first_line, second_line = N_NEWEST * s, N_NEWEST * s + ONE
+            carried = newest[first_line]
             if carried == line:
                 break
-            second = newest[at + ONE]
-            newest[at], newest[at + ONE] = line, carried
+            second = newest[second_line]
+            newest[first_line], newest[second_line] = line, carried
             # A branch, because half of what comes here is at depth 1; without it the walk took 1.15 times the time.
             if second == line:
-                counts[k] += 1
+                counts[bins] += 1
             else:
-                depth, last = put_first(older, at * EIGHT, line, second)
-                if depth == SIXTEEN and n_oldest:
-                    at = at // TWO * n_oldest
+                depth, last = put_first(older, N_LANES * s, line, second)
+                if depth == N_LANES and n_oldest:
+                    at = n_oldest * s
                     bound = at + n_oldest
                     while at < bound:
                         lane, last = put_first(oldest, at, line, np.uint32(last))
                         depth += lane
-                        if lane < SIXTEEN:
+                        if lane < N_LANES:
                             break
-                        at += SIXTEEN
-                counts[k + ONE + depth] += 1
-            level += mask + ONE
+                        at += N_LANES
+                counts[bins + ONE + depth] += 1
+            first_set += mask + ONE
             mask += mask + ONE
-            k += row
+            bins += bins_of_both

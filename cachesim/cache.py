@@ -1,7 +1,7 @@
 """One cache, exactly, with everything that can be asked of it: lines and labels in, counts per label and the account out.
 
-Any ways and policy, pre-fetches that fill and refresh as a read does, sequential pre-fetchers, the three kinds of misses, and
-what became of every pre-fetch. Lines are keyed by dense ids (``Lines.ids``), so nothing depends on the number of ways.
+Any ways and policy, prefetches that fill and refresh as a read does, sequential prefetchers, the three kinds of misses, and
+what became of every prefetch. Lines are keyed by dense ids (``Lines.ids``), so nothing depends on the number of ways.
 """
 
 from typing import NamedTuple
@@ -21,13 +21,13 @@ GENERATED, MISSES, COMPULSORY, CAPACITY, CONFLICT = range(5)
 #: Entries of the account.
 USEFUL, USELESS, POLLUTION = range(3)
 
-#: Sequential pre-fetchers: when does a read of a line request the line after it?
+#: Sequential prefetchers: when does a read of a line request the line after it?
 NEVER, ALWAYS, ON_MISS, TAGGED = range(4)
 
 # Facts about a line, one bit each.
 RESIDENT = 1  # in the cache
-UNUSED = 2  # filled by a pre-fetch and not demanded since
-PUSHED_OUT = 4  # a pre-fetch evicted it, and nothing has filled it since
+UNUSED = 2  # filled by a prefetch and not demanded since
+PUSHED_OUT = 4  # a prefetch evicted it, and nothing has filled it since
 SHADOWED = 8  # in the fully associative cache of the 3C classification
 TOUCHED = 16  # accessed at least once
 
@@ -68,13 +68,13 @@ def grow_cache(cache: Cache, n_ids: int) -> Cache:
 
 
 def n_resident_unused(cache: Cache) -> int:
-    """Return the number of lines that a pre-fetch filled, nothing demanded, and the cache still holds."""
+    """Return the number of lines that a prefetch filled, nothing demanded, and the cache still holds."""
     return int(np.count_nonzero((cache.facts & UNUSED) != 0))
 
 
 @kernel(_nrt=False, forceinline=True)
 def access(cache, line, line_id, label):
-    """Access one line; return whether it missed, or was demanded for the first time since a pre-fetch filled it."""
+    """Access one line; return whether it missed, or was demanded for the first time since a prefetch filled it."""
     facts, counts, account = cache.facts, cache.counts, cache.account
     is_prefetch = (label & PREFETCH) != 0
     fact = facts[line_id]
@@ -121,7 +121,7 @@ def access(cache, line, line_id, label):
 
 @kernel(_nrt=False)
 def replay_exact(lines, ids, labels, cache):
-    """Replay accesses in order; the pre-fetches among them are requests of their own.
+    """Replay accesses in order; the prefetches among them are requests of their own.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def replay_exact(lines, ids, labels, cache):
     ids : (n,) uint32
         Dense id of each line.
     labels : (n,) uint8
-        READ, IFETCH or MISC, with PREFETCH or-ed for a pre-fetch.
+        READ, IFETCH or MISC, with PREFETCH or-ed for a prefetch.
     cache : Cache
     """
     for i in range(lines.size):
@@ -162,11 +162,11 @@ def replay_optimal(lines, ids, labels, next_use, start, cache):
 
 @kernel(_nrt=False)
 def replay_sequential(lines, ids, next_ids, labels, cache, trigger, distance):
-    """Replay accesses in order with a sequential pre-fetcher, whose request follows the access that triggers it.
+    """Replay accesses in order with a sequential prefetcher, whose request follows the access that triggers it.
 
     As ``replay_exact``, and ``next_ids`` are the ids of the lines ``distance`` further on. Only reads and instruction
     fetches trigger. ALWAYS: each of them; ON_MISS: those that miss; TAGGED: those that miss, and the first to a line since
-    a pre-fetch filled it.
+    a prefetch filled it.
     """
     for i in range(lines.size):
         line, line_id, label = np.int64(lines[i]), np.int64(ids[i]), labels[i]

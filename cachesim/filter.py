@@ -6,25 +6,26 @@ every cache with the same line size whose number of sets is a multiple of F, a d
     Lines that share a set of the cache share a set of the filter, because F divides the number of sets. So since the last
     access to line x, no other line of x's set was used. That access left x in the cache, nothing could evict it since, and x
     is the most recent line of its set. So this access hits. LRU would move to the front what is in front; FIFO and random
-    replacement do nothing on a hit (ours draws no random number then). A pre-fetch fills and refreshes as a read does, so it
+    replacement do nothing on a hit (ours draws no random number then). A prefetch fills and refreshes as a read does, so it
     filters as a read does.
 
 The next access then finds the same state with the access or without, whatever other accesses were dropped: by induction every
 access that is kept hits or misses as before, and all misses are kept. Where F does not divide the number of sets, x's set may
 hold lines of other filter sets, and one of them may have evicted x.
 
-What still holds of the account of pre-fetches: a dropped pre-fetch is a redundant one. A dropped demand access may have been
-the first use of a line that a pre-fetch filled. With ``keep_first_use`` a demand access is dropped only if a demand access
+What still holds of the account of prefetches: a dropped prefetch is a redundant one. A dropped demand access may have been
+the first use of a line that a prefetch filled. With ``keep_first_use`` a demand access is dropped only if a demand access
 came before it since another line of its filter set was used, so the line had its first use then, and every count of the
 account is exact. Then the demand accesses kept also serve the demand stream alone (A of the paper): between the two no other
 line of the filter set was used, so none in the demand stream. Without it, A needs a filter of its own.
 
 What does not hold: the fully associative cache beside the real one in a 3C classification no longer sees which line is older,
-and a sequential pre-fetcher is triggered by accesses that hit.
+and a sequential prefetcher is triggered by accesses that hit.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from math import gcd
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,6 +68,25 @@ def check_exact(
         raise NptraceError(f"{prefetch} is triggered by accesses that a filter drops; replay without the filter")
 
 
+class Newest(NamedTuple):
+    """What a filter remembers: of each of its sets, the line last used.
+
+    Attributes
+    ----------
+    tags : (n_sets,) uint64
+        2 * line, plus 1 unless ``keep_first_use`` waits for the line's first demand access; updated in place.
+    n_sets, mask : int
+        As ``set_of`` takes them.
+    keep_first_use : bool
+        Whether the account of prefetches needs the first demand access to a line.
+    """
+
+    tags: np.ndarray
+    n_sets: int
+    mask: int
+    keep_first_use: bool
+
+
 class DirectFilter:
     """A filter and what it remembers between batches.
 
@@ -75,23 +95,22 @@ class DirectFilter:
     n_sets : int
         Any number; ``filter_sets`` gives the best one.
     keep_first_use : bool
-        Also keep the accesses that the account of pre-fetches needs.
+        Also keep the accesses that the account of prefetches needs.
 
     Attributes
     ----------
     n_dropped_demand, n_dropped_prefetches : int
-        Accesses dropped so far. All of them hit; the pre-fetches among them are redundant.
+        Accesses dropped so far. All of them hit; the prefetches among them are redundant.
     """
 
     def __init__(self, n_sets: int, *, keep_first_use: bool = False) -> None:
-        self._n_sets, self._mask, self._keep_first_use = n_sets, set_mask(n_sets), keep_first_use
-        self._newest = np.full(n_sets, _NONE, np.uint64)
+        self._newest = Newest(np.full(n_sets, _NONE, np.uint64), n_sets, set_mask(n_sets), keep_first_use)
         self.n_dropped_demand = self.n_dropped_prefetches = 0
 
     def accesses(self, lines: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the (line uint32, label uint8) pairs that are kept, in order."""
         kept, kept_labels = np.empty(lines.size, np.uint32), np.empty(lines.size, np.uint8)
-        n = drop_repeats(lines, labels, self._n_sets, self._mask, self._newest, self._keep_first_use, kept, kept_labels)
+        n = drop_repeats(lines, labels, self._newest, kept, kept_labels)
         kept, kept_labels = kept[:n], kept_labels[:n]
         self._note(int(np.count_nonzero(labels >= PREFETCH)), lines.size, kept_labels)
         return kept, kept_labels
@@ -105,9 +124,7 @@ class DirectFilter:
         """
         kept, kept_labels = np.empty(rows.size, np.uint32), np.empty(rows.size, np.uint8)
         counted = np.zeros(totals.size, np.int64)
-        n = look_up_and_drop(
-            table, rows, labels, self._n_sets, self._mask, self._newest, self._keep_first_use, counted, kept, kept_labels
-        )
+        n = look_up_and_drop(table, rows, labels, self._newest, counted, kept, kept_labels)
         totals += counted
         kept, kept_labels = kept[:n], kept_labels[:n]
         self._note(int(counted[PREFETCH:].sum()), rows.size, kept_labels)
@@ -129,32 +146,29 @@ def filtered(
 
 
 @inlined
-def _is_kept(line, label, n_sets, mask, newest, keep_first_use):
-    """Return whether a filter keeps an access, which is then the newest of its set.
-
-    ``newest`` is 2 * line per filter set, plus 1 unless ``keep_first_use`` waits for the line's first demand access.
-    """
-    s = np.uint64(set_of(np.int64(line), n_sets, mask))
-    tag, before = (np.uint64(line) << ONE) | ONE, newest[s]
+def _is_kept(line, label, newest):
+    """Return whether a filter keeps an access, which is then the newest of its set."""
+    s = np.uint64(set_of(np.int64(line), newest.n_sets, newest.mask))
+    tag, before = (np.uint64(line) << ONE) | ONE, newest.tags[s]
     if before == tag:
         return False
-    if keep_first_use and label >= PREFETCH:
+    if newest.keep_first_use and label >= PREFETCH:
         tag ^= ONE
         if before == tag:
             return False
-    newest[s] = tag
+    newest.tags[s] = tag
     return True
 
 
 @kernel
-def drop_repeats(lines, labels, n_sets, mask, newest, keep_first_use, kept, kept_labels):
+def drop_repeats(lines, labels, newest, kept, kept_labels):
     """Copy the accesses that a filter keeps; return how many."""
     n = np.uint64(0)
     for i in range(lines.size):
         line, label = lines[i], labels[i]
         # A branch: copying always and advancing by 0 or 1 took 0.65 to 3.5 times the time (mean 1.4), as each access then
         # waits for the one before it in its set.
-        if _is_kept(line, label, n_sets, mask, newest, keep_first_use):
+        if _is_kept(line, label, newest):
             kept[n] = line
             kept_labels[n] = label
             n += ONE
@@ -162,13 +176,13 @@ def drop_repeats(lines, labels, n_sets, mask, newest, keep_first_use, kept, kept
 
 
 @kernel
-def look_up_and_drop(table, rows, labels, n_sets, mask, newest, keep_first_use, totals, kept, kept_labels):
+def look_up_and_drop(table, rows, labels, newest, totals, kept, kept_labels):
     """As ``drop_repeats`` for the lines table[rows]; count the labels into totals."""
     n = np.uint64(0)
     for i in range(rows.size):
         line, label = table[rows[i]], labels[i]
         totals[label] += 1
-        if _is_kept(line, label, n_sets, mask, newest, keep_first_use):
+        if _is_kept(line, label, newest):
             kept[n] = line
             kept_labels[n] = label
             n += ONE

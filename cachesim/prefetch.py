@@ -1,6 +1,6 @@
-"""Pre-fetch policies: rows of a trace (node, kind) -> the events a cache sees (node, label), pre-fetches among them.
+"""Prefetch policies: rows of a trace (node, kind) -> the events a cache sees (node, label), prefetches among them.
 
-A run records every push, so the node stack can be rebuilt from the demand rows alone, and any policy of the pre-fetch unit
+A run records every push, so the node stack can be rebuilt from the demand rows alone, and any policy of the prefetch unit
 replayed without rendering again. The unit has the stack's top ``sp`` and a pointer ``pp``. Push: pp = sp. Pop: pp =
 min(pp, sp). At a non-empty leaf, before its triangles are tested: while there is budget and pp > 0, pp -= 1 and request
 stack[pp]. The pointer stays where it stopped. A ray starts with an empty stack.
@@ -15,11 +15,11 @@ from cachesim.access import MISC, PREFETCH, READ
 from cachesim.cache import ALWAYS, NEVER, ON_MISS, TAGGED
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
+from traces.format import LEAF as KIND_LEAF
+from traces.format import PREFETCH as KIND_PREFETCH
+from traces.format import PUSH as KIND_PUSH
 
-# The kinds of a row of accesses.parquet (traces.format; numbers here because a kernel needs constants of its own).
-KIND_PUSH, KIND_LEAF, KIND_PREFETCH = 1, 2, 3
-
-#: A request of the pre-fetch unit as a label: what DineroIV calls type b.
+#: A request of the prefetch unit as a label: what DineroIV calls type b.
 REQUEST = PREFETCH | MISC
 
 UNLIMITED = np.iinfo(np.int64).max
@@ -31,13 +31,13 @@ FORMS = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty] or next-
 
 @dataclass(frozen=True, slots=True)
 class Prefetch:
-    """A pre-fetch policy.
+    """A prefetch policy.
 
     Attributes
     ----------
     kind : str
-        ``"none"``: demand only; ``"traced"``: the requests in the trace; ``"stack"``: those of the pre-fetch unit, derived
-        from the demand rows; ``"next-line"``: a sequential pre-fetcher in the cache, DineroIV's always, miss and tagged.
+        ``"none"``: demand only; ``"traced"``: the requests in the trace; ``"stack"``: those of the prefetch unit, derived
+        from the demand rows; ``"next-line"``: a sequential prefetcher in the cache, DineroIV's always, miss and tagged.
     budget : int
         stack: most requests at a leaf, or with ``per_triangle`` per triangle of the leaf.
     once : bool
@@ -96,7 +96,7 @@ def _parse_stack(text: str, options: list[str]) -> Prefetch:
 
 
 class StackReplay:
-    """The pre-fetch unit over one trace: batches of rows in, batches of events out, its stack kept in between.
+    """The prefetch unit over one trace: batches of rows in, batches of events out, its stack kept in between.
 
     Parameters
     ----------

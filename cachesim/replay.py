@@ -47,7 +47,7 @@ class _Piece(NamedTuple):
     lines: np.ndarray
     labels: np.ndarray
     ids: np.ndarray
-    next_ids: np.ndarray  # of the lines that a sequential pre-fetcher would request; else the ids again
+    next_ids: np.ndarray  # of the lines that a sequential prefetcher would request; else the ids again
     n_ids: int
     next_use: np.ndarray | None = None  # for opt: number of the next access to the same line; the first here has n_before
     n_before: int = 0
@@ -106,7 +106,7 @@ def _is_countable(config: CacheConfig) -> bool:
 
 
 class _Job:
-    """One configuration: its cache with pre-fetches and, for coverage, the same cache without."""
+    """One configuration: its cache with prefetches and, for coverage, the same cache without."""
 
     def __init__(self, config: CacheConfig, prefetch: Prefetch, *, three_c: bool) -> None:
         self.config = config
@@ -214,7 +214,7 @@ def _groups(source: Source, jobs: list[_Job], prefetch: Prefetch, *, is_filtered
 
 
 def check_foreseeable(prefetch: Prefetch) -> None:
-    """Raise a ValueError for a pre-fetcher in the cache: what it requests is not known before the replay."""
+    """Raise a ValueError for a prefetcher in the cache: what it requests is not known before the replay."""
     if prefetch.trigger:
         raise NptraceError(
             f"opt has to know all accesses beforehand, and {prefetch} requests lines during the replay; use none, traced or "

@@ -9,7 +9,7 @@ bits of 64-bit words. For the 97 to 99 % of accesses that come back within the n
 Beyond them, sums say how many live slots lie before a word: ``in_group`` from the start of its group of 64 words, and
 ``to_group`` from the start to that group. When the slots are used up, the live ones are moved together.
 
-The distances of a stream of demand accesses and pre-fetches are exact for both, because a pre-fetch refreshes as a read does.
+The distances of a stream of demand accesses and prefetches are exact for both, because a prefetch refreshes as a read does.
 """
 
 from pathlib import Path
@@ -44,7 +44,7 @@ class StackDistances:
     Attributes
     ----------
     counts : (n, 2) int64
-        ``counts[d]``: demand accesses and pre-fetches at distance d; ``counts[0]``: first accesses to a line.
+        ``counts[d]``: demand accesses and prefetches at distance d; ``counts[0]``: first accesses to a line.
     """
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class StackDistances:
             done = count_distances(ids, labels, done, *arrays, self.counts.reshape(-1))
 
     def misses(self, n_lines: int) -> tuple[int, int]:
-        """Return the misses of demand accesses and of pre-fetches in the fully associative LRU cache of ``n_lines`` lines."""
+        """Return the misses of demand accesses and of prefetches in the fully associative LRU cache of ``n_lines`` lines."""
         demand, prefetch = self.counts[0] + self.counts[n_lines + 1 :].sum(axis=0)
         return int(demand), int(prefetch)
 
@@ -93,7 +93,7 @@ def stack_distances(
     prefetch: Prefetch | str = "traced",
     layout: Layout | str = "stored",
 ) -> tuple[StackDistances, StackDistances]:
-    """Return the stack distances of a trace with its pre-fetches and of its demand accesses alone (B and A of the paper).
+    """Return the stack distances of a trace with its prefetches and of its demand accesses alone (B and A of the paper).
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def stack_distances(
 
 
 def check_one_pass(prefetch: Prefetch) -> None:
-    """Raise a ValueError for a pre-fetcher that reacts to the cache: one pass cannot serve caches that behave differently."""
+    """Raise a ValueError for a prefetcher that reacts to the cache: one pass cannot serve caches that behave differently."""
     if prefetch.trigger:
         raise NptraceError(
             f"pre-fetch {prefetch} asks for other lines in every cache, so one pass cannot count for many caches; "

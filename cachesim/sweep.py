@@ -1,4 +1,4 @@
-"""Many LRU caches in one pass: a source and a grid of configurations in, one exact Row per configuration out.
+"""Many LRU caches in one pass: a source and a grid of configurations in, one exact SweepRow per configuration out.
 
 All caches of one line size share the trace, decoded once, and one walk over the numbers of sets from few to many (Mattson
 1970, Hill and Smith 1989). Each set keeps its lines newest first, so the place where a line is found says which numbers of
@@ -7,9 +7,9 @@ found first and nothing moves: the walk stops there. (Every number of sets is th
 the next; a filter in front drops what the first step stops at, and did not pay.) With a single set, the fully associative
 caches, the stack distances of ``cachesim.stack_distance`` serve all sizes at once.
 
-Pre-fetches that come with the trace act like reads, so what a cache holds does not depend on who asked: one pass counts demand
-accesses and pre-fetches apart (B of the paper), and a second over the demand accesses alone gives A. This is not so for FIFO
-and random replacement, which have no such order, nor for pre-fetchers that react to hits and misses: both are refused.
+Prefetches that come with the trace act like reads, so what a cache holds does not depend on who asked: one pass counts demand
+accesses and prefetches apart (B of the paper), and a second over the demand accesses alone gives A. This is not so for FIFO
+and random replacement, which have no such order, nor for prefetchers that react to hits and misses: both are refused.
 """
 
 import os
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from cachesim.access import PREFETCH
-from cachesim.all_associativity import Levels
+from cachesim.all_associativity import SetCounts
 from cachesim.config import CacheConfig
 from cachesim.layout import Layout
 from cachesim.prefetch import Prefetch, parse_prefetch
@@ -35,10 +35,10 @@ from traces.reader import Run
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SweepRow:
     """Counts of one LRU cache, with the names that ``npcache replay`` uses.
 
-    ``demand_misses`` and ``prefetch_misses`` are those with pre-fetching (B), ``demand_misses_without`` those of the demand
+    ``demand_misses`` and ``prefetch_misses`` are those with prefetching (B), ``demand_misses_without`` those of the demand
     accesses alone (A).
     """
 
@@ -88,7 +88,7 @@ def sweep(
     layout: Layout | str = "stored",
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
-) -> list[Row]:
+) -> list[SweepRow]:
     """Count the misses of every cache, exactly, in one pass per line size; return one row each, in the order of ``configs``.
 
     Parameters
@@ -100,7 +100,7 @@ def sweep(
     prefetch : Prefetch or str
         Any policy whose requests do not depend on the cache.
     threads : int, optional
-        Passes run at a time, of which each line size has two, with pre-fetches and without; as many as there are cores when
+        Passes run at a time, of which each line size has two, with prefetches and without; as many as there are cores when
         None. The counts do not depend on it.
     progress : callable, optional
         Called with the number of events done after each batch.
@@ -163,11 +163,11 @@ class _Group:
             steps += demand.steps(own, own_ids, own_labels, self._lines.n_ids)
         return steps
 
-    def row(self, source: Source, config: CacheConfig, prefetch: Prefetch) -> Row:
+    def row(self, source: Source, config: CacheConfig, prefetch: Prefetch) -> SweepRow:
         """Return what was counted for one cache."""
         everything, demand = self._streams[0], self._streams[-1]
         demand_misses, prefetch_misses = everything.misses(config)
-        return Row(
+        return SweepRow(
             run=source.name,
             config=config,
             prefetch=str(prefetch),
@@ -181,11 +181,11 @@ class _Group:
 
 
 class _Stream:
-    """One stream of accesses, with pre-fetches or without, and what counts it: one set apart from several."""
+    """One stream of accesses, with prefetches or without, and what counts it: one set apart from several."""
 
     def __init__(self, configs: Sequence[CacheConfig]) -> None:
         several = [config for config in configs if config.n_sets > 1]
-        self._levels = Levels(several) if several else None
+        self._set_counts = SetCounts(several) if several else None
         self._distances = StackDistances() if len(several) < len(configs) else None
         self.n_demand = self.n_prefetches = 0
 
@@ -195,15 +195,15 @@ class _Stream:
         self.n_prefetches += n_prefetches
         self.n_demand += labels.size - n_prefetches
         steps: list[tuple[Any, ...]] = []
-        if self._levels is not None:
-            steps.append((self._levels.step, lines, labels))
+        if self._set_counts is not None:
+            steps.append((self._set_counts.step, lines, labels))
         if self._distances is not None:
             steps.append((self._distances.step, ids, labels, n_ids))
         return steps
 
     def misses(self, config: CacheConfig) -> tuple[int, int]:
-        """Return the misses of demand accesses and of pre-fetches in one cache."""
+        """Return the misses of demand accesses and of prefetches in one cache."""
         if config.n_sets == 1 and self._distances is not None:
             return self._distances.misses(config.ways)
-        assert self._levels is not None
-        return self._levels.misses(config)
+        assert self._set_counts is not None
+        return self._set_counts.misses(config)

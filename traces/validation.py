@@ -18,8 +18,6 @@ from traces.format import LEAF, PREFETCH, PUSH, READ, SHADOW, RunError
 #: The axis of a leaf in ``nodes.parquet``.
 LEAF_AXIS = 3
 
-_LAST_KIND = 3  # PREFETCH; a number here because a kernel needs constants of its module
-
 _OK, _NUMBER, _ROOT, _PARENT, _PAIR, _TWICE, _LEVEL, _AXIS, _INNER, _ADDRESS = range(10)
 
 _NODE_RULES = {
@@ -195,7 +193,7 @@ def first_bad_access(nodes, kinds, allowed):
     n = np.uint64(allowed.size)
     for i in range(np.uint64(nodes.size)):
         node = np.uint64(nodes[i])
-        if node >= n or kinds[i] > _LAST_KIND or not (allowed[node] >> kinds[i]) & np.uint8(1):
+        if node >= n or kinds[i] > PREFETCH or not (allowed[node] >> kinds[i]) & np.uint8(1):
             return i
     return np.uint64(nodes.size)
 
@@ -206,7 +204,7 @@ def are_all_allowed(nodes, kinds, allowed):
 
     Without a branch, because every access of every replay comes by: looking for the first bad row took 4 times as long.
     """
-    last, last_kind = np.uint32(allowed.size - 1), np.uint64(_LAST_KIND)
+    last, last_kind = np.uint32(allowed.size - 1), np.uint64(PREFETCH)
     highest, bits_of_kinds, is_allowed = np.uint32(0), np.uint64(0), np.uint64(1)
     for i in range(np.uint64(nodes.size)):
         highest = max(highest, nodes[i])

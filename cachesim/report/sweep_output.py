@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cachesim.config import format_bytes
-from cachesim.sweep import Row
+from cachesim.sweep import SweepRow
 from nptrace_base.atomic import is_special, whole_file
 from nptrace_base.errors import NptraceError
 
@@ -20,7 +20,7 @@ TABLES = (".csv", ".parquet")
 PICTURES = (".png", ".svg", ".pdf")
 
 
-def to_csv(rows: Sequence[Row]) -> str:
+def to_csv(rows: Sequence[SweepRow]) -> str:
     """Return CSV with a header, one line per row; an empty field is a rate whose denominator is 0."""
     out = io.StringIO()
     writer = csv.DictWriter(out, list(rows[0].to_dict()), lineterminator="\n")
@@ -29,7 +29,7 @@ def to_csv(rows: Sequence[Row]) -> str:
     return out.getvalue()
 
 
-def write(rows: Sequence[Row], path: Path) -> None:
+def write(rows: Sequence[SweepRow], path: Path) -> None:
     """Write rows as a CSV or Parquet file, atomically; the ending of its name chooses."""
     ending = ending_of(path, TABLES)
     with whole_file(path) as temporary, open(temporary, "wb") as file:
@@ -55,7 +55,7 @@ def ending_of(path: Path, endings: Sequence[str]) -> str:
     raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
 
 
-def plot(rows: Sequence[Row], path: Path) -> None:
+def plot(rows: Sequence[SweepRow], path: Path) -> None:
     """Draw the demand miss rate over size, a curve per number of ways, as a PNG, SVG or PDF file by the ending of its name.
 
     One panel for each run (with its prefetches and layout) and line size. Of more than six numbers of ways, the powers of two
@@ -87,17 +87,17 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             figure.savefig(temporary, dpi=200, metadata=stamps.get(ending), format=ending[1:])
 
 
-def _run_of(row: Row) -> tuple[str, str]:
+def _run_of(row: SweepRow) -> tuple[str, str]:
     """Return the name of a run, and the other settings that tell its rows apart."""
     settings = [row.prefetch] * (row.prefetch not in ("none", "traced")) + [row.layout] * (row.layout != "stored")
     return row.run, "".join(f", {setting}" for setting in settings)
 
 
-def _ways_of(row: Row) -> int | str:
+def _ways_of(row: SweepRow) -> int | str:
     return "full" if row.config.n_sets == 1 else row.config.ways
 
 
-def _styles(rows: Sequence[Row]) -> dict[int | str, dict[str, Any]]:
+def _styles(rows: Sequence[SweepRow]) -> dict[int | str, dict[str, Any]]:
     """Return colour and marker for every number of ways that is drawn: light to dark, so that a grey print keeps the order."""
     from matplotlib import colormaps
 
@@ -114,7 +114,7 @@ def _styles(rows: Sequence[Row]) -> dict[int | str, dict[str, Any]]:
     return styles
 
 
-def _draw_panel(panel: Any, rows: Sequence[Row], styles: dict[int | str, dict[str, Any]]) -> None:
+def _draw_panel(panel: Any, rows: Sequence[SweepRow], styles: dict[int | str, dict[str, Any]]) -> None:
     """Draw the curves of one run and line size."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 

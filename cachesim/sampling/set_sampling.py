@@ -19,15 +19,15 @@ from cachesim.prefetch import parse_prefetch
 from cachesim.sampling.cold_start import ALONE, DEMAND, REQUESTS, KnownReplay, check_lru
 from cachesim.source import Source
 from cachesim.stack_distance import check_one_pass
-from cachesim.sweep import Row
+from cachesim.sweep import SweepRow
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 
 
 def sample_sets(
     source: Source, configs: Sequence[CacheConfig], every: int, *, which: int = 0, seed: int = 0, prefetch: str = "traced"
-) -> list[Row]:
-    """Return a Row for each cache, in order, with misses estimated from one ``every``-th of its sets.
+) -> list[SweepRow]:
+    """Return a SweepRow for each cache, in order, with misses estimated from one ``every``-th of its sets.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def sample_sets(
         n_accesses += lines.size - n_requests
         misses += replay.step(*in_classes(lines, labels, is_taken)).misses
     return [
-        Row(
+        SweepRow(
             source.name, config, str(policy), str(source.layout), n_accesses, int(found[DEMAND]) * every, n_prefetches,
             int(found[REQUESTS]) * every, int(found[ALONE]) * every,
         )

@@ -46,7 +46,7 @@ def sweep(
         if path is not None:
             sweep_output.ending_of(path, endings)  # refused now, not after counting
     configs = grid([parse_range(text) for text in size], all_ways, line)
-    rows: list[sweeping.Row] = []
+    rows: list[sweeping.SweepRow] = []
     for path in sources or default_sources(folder):
         for one_layout in layout:
             source = open_source(path, one_layout)

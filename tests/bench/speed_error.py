@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cachesim.all_associativity import Levels
+from cachesim.all_associativity import SetCounts
 from cachesim.config import CacheConfig
 from cachesim.fast_lru import empty_tags, set_mask
 from cachesim.filter import DirectFilter, filter_sets
@@ -183,13 +183,13 @@ def replays(rows: Rows, exact: Exact, configs: list[CacheConfig]) -> None:
     def one_pass() -> None:
         demand = demand_only(lines, labels)
         for stream in ((lines, labels), demand):
-            Levels(configs).step(*stream)
+            SetCounts(configs).step(*stream)
 
     def single() -> None:
         demand = demand_only(lines, labels)
         for config in configs:
             for stream in ((lines, labels), demand):
-                Levels([config]).step(*stream)
+                SetCounts([config]).step(*stream)
 
     filtered = scale * cpu(lambda: KnownReplay(configs, from_start=True).step(lines, labels))
     none = {name: [0.0] for name in ("accesses_per_ray", *QUANTITIES)}

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cachesim.all_associativity import Levels
+from cachesim.all_associativity import SetCounts
 from cachesim.config import CacheConfig
 from cachesim.fast_lru import direct_mapped, empty_tags, set_mask, two_way
 from cachesim.replay import replay
@@ -69,7 +69,7 @@ def bench_sweep(lines: np.ndarray, labels: np.ndarray, two_ways: list[float], re
     """One pass for 128 caches, and exact stack distances, in units of one 2-way replay."""
     corners = [CacheConfig(16 * 32, 1), CacheConfig(2048 * 16 * 32, 16)]  # 2^4 to 2^11 sets, 1 to 16 ways
     functions = {
-        "pass": lambda: Levels(corners).step(lines, labels),
+        "pass": lambda: SetCounts(corners).step(lines, labels),
         "stack": lambda: StackDistances().step(lines, labels, int(lines.max()) + 1),
     }
     taken = times(functions, repeat, time.process_time)

@@ -22,7 +22,7 @@ from cachesim.report import sweep_output
 from cachesim.report.sweep_output import plot, write
 from cachesim.source import open_source
 from cachesim.stack_distance import StackDistances, stack_distances
-from cachesim.sweep import Row, sweep
+from cachesim.sweep import SweepRow, sweep
 from tests.reference.cache import Cache
 from tests.reference.traces import make_trace
 from tests.reference.traces import write as write_run
@@ -436,7 +436,7 @@ def rows():
 
 
 def test_files_hold_the_rows(rows, tmp_path):
-    empty = Row("empty", CacheConfig(64, 1, 16), "none", "stored", 0, 0, 0, 0, 0)
+    empty = SweepRow("empty", CacheConfig(64, 1, 16), "none", "stored", 0, 0, 0, 0, 0)
     rows.append(empty)  # its rates have no value
     for ending in ("parquet", "csv"):
         write(rows, tmp_path / f"rows.{ending}")

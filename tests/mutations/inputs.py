@@ -11,7 +11,7 @@ CH, RD, ST, DI = "traces/validation.py", "traces/reader.py", "traces/stream.py",
 MUTATIONS = [
     # --- values ---
     Mutation("values: nulls are not seen", CH, "    if column.null_count:", "    if column.null_count < 0:", VALUES),
-    Mutation("values: any kind will do", CH, "kinds[i] > _LAST_KIND or not (allowed[node] >> kinds[i]) & np.uint8(1)", "not (allowed[node] >> (kinds[i] & 3)) & np.uint8(1)", VALUES),
+    Mutation("values: any kind will do", CH, "kinds[i] > PREFETCH or not (allowed[node] >> kinds[i]) & np.uint8(1)", "not (allowed[node] >> (kinds[i] & 3)) & np.uint8(1)", VALUES),
     Mutation("values: a node one beyond the tree's", CH, "if node >= n or kinds", "if node > n or kinds", "tests/traces/test_run_values.py tests/test_fuzz.py"),
     Mutation("values: nodes with children may be entered as leaves", CH, "inner, leaf = 1 << READ | 1 << PUSH", "inner, leaf = 1 << READ | 1 << LEAF | 1 << PUSH", VALUES),
     Mutation("values: a kd-tree's leaf may be missed", CH, 'if tree != "kdtree":', "if tree:", VALUES),

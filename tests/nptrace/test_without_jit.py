@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from cachesim.all_associativity import LANES, Levels, _put_first
+from cachesim.all_associativity import LANES, SetCounts, _put_first
 from cachesim.config import CacheConfig
 from rtrace.scenes.shapes import icosphere
 
@@ -77,14 +77,15 @@ def test_the_twin_of_put_first():
 @pytest.mark.parametrize("ways", [2, 18, 40])
 def test_a_walk_in_python_counts_what_a_compiled_one_counts(ways):
     script = (
-        "import numpy as np; from cachesim.config import CacheConfig; from cachesim.all_associativity import Levels\n"
+        "import numpy as np; from cachesim.config import CacheConfig; from cachesim.all_associativity import SetCounts\n"
         "rng = np.random.default_rng(4); lines = rng.integers(0, 300, 3000).astype(np.uint32)\n"
-        f"levels = Levels([CacheConfig({ways} * 64 * 4, {ways}, 64)]); levels.step(lines, (lines % 3 == 0).astype(np.uint8))\n"
-        "print(levels.counts.tolist())"
+        f"set_counts = SetCounts([CacheConfig({ways} * 64 * 4, {ways}, 64)])\n"
+        "set_counts.step(lines, (lines % 3 == 0).astype(np.uint8))\n"
+        "print(set_counts.counts.tolist())"
     )
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
     lines = np.random.default_rng(4).integers(0, 300, 3000).astype(np.uint32)
-    levels = Levels([CacheConfig(ways * 64 * 4, ways, 64)])
-    levels.step(lines, (lines % 3 == 0).astype(np.uint8))
-    assert done.stdout.strip() == str(levels.counts.tolist())
+    set_counts = SetCounts([CacheConfig(ways * 64 * 4, ways, 64)])
+    set_counts.step(lines, (lines % 3 == 0).astype(np.uint8))
+    assert done.stdout.strip() == str(set_counts.counts.tolist())
