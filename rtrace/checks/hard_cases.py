@@ -227,26 +227,26 @@ def _random_rays(seed: int, origin: np.ndarray, components) -> Rays:
 
 
 @_enter("ball from inside, at vertices and edges")
-def _(long):
+def _ball_from_inside_vertices_edges(long):
     ball = icosphere(2 if long else 1)
     return exact_case(ball, aimed(_INSIDE, _corners_and_middles(ball)), is_closed=True)
 
 
 @_enter("ball from outside, at vertices and edges")
-def _(long):
+def _ball_from_outside_vertices_edges(long):
     ball = icosphere(1)
     return exact_case(ball, aimed(_OUTSIDE, _corners_and_middles(ball)))
 
 
 @_enter("ball from just inside, at grazing angles")
-def _(long):
+def _ball_from_just_inside_grazing_angles(long):
     ball = icosphere(1)
     origins = ball[:: 10 if long else 40, 0] * np.float32(1 - 2.0**-20)
     return exact_case(ball, aimed(origins, _corners_and_middles(ball)), is_closed=True)
 
 
 @_enter("large ball from inside, at vertices and edges")
-def _(long):
+def _large_ball_from_inside_vertices_edges(long):
     ball = icosphere(6 if long else 3)
     return known_case(ball, aimed(_INSIDE[1:2], _corners_and_middles(ball)[:: 16 if long else 1]), True)
 
@@ -273,7 +273,7 @@ for _extents in (1e4, 1e6):
 
 
 @_enter("directions of length 1e-30 to 1e30")
-def _(long):
+def _directions_length_1e_30_to_1e30(long):
     ball = icosphere(1)
     rays = aimed(_INSIDE[1:2], _corners_and_middles(ball))
     lengths = np.resize(np.float32([1e-30, 1e-20, 1e-10, 1e10, 1e20, 1e30]), (len(rays.t_min), 1))
@@ -281,34 +281,34 @@ def _(long):
 
 
 @_enter("directions with subnormal components")
-def _(long):
+def _directions_with_subnormal_components(long):
     origin = _lattice(30, (1000 if long else 250, 3), -2, 12, 0.5)
     return exact_case(boxes(2), _random_rays(31, origin, [0.0, 1e-40, -1e-45, 1e-45, 1.0, -1.0]))
 
 
 @_enter("octahedron from inside, exactly through vertices and edges")
-def _(long):
+def _octahedron_exactly_through_vertices_edges(long):
     s = np.arange(12)[:, None, None, None] / 12
     points = np.unique((_OCTAHEDRON * (1 - s) + np.roll(_OCTAHEDRON, 1, axis=1) * s).reshape(-1, 3), axis=0)
     return exact_case(_OCTAHEDRON, aimed([[1, 2, -1], [3, -2, 5], [0, 0, 0]], points), is_closed=True)
 
 
 @_enter("height field, exactly through vertices and edges")
-def _(long):
+def _height_field_exactly_through_vertices_edges(long):
     field = height_field(6)
     origins = _lattice(3, (30 if long else 6, 3), -7, 13) + np.float32([0, 12, 0])
     return exact_case(field, aimed(origins, _corners_and_middles(field)))
 
 
 @_enter("flat grid at grazing angles")
-def _(long):
+def _flat_grid_grazing_angles(long):
     grid = rectangle((0, 0, 0), (8, 0, 0), (0, 0, 8), 8, 8).astype(np.float32)
     low = [[-1, 2.0**-k, 3.5] for k in ((4, 10, 16, 20) if long else (4, 20))]
     return exact_case(grid, aimed(low, _corners_and_middles(grid)))
 
 
 @_enter("triangles almost edge-on")
-def _(long):
+def _triangles_almost_edge_on(long):
     tilt = _lattice(33, (30, 3, 3), -64, 64) * np.float32([1, 1, 2.0**-23])
     origin = _lattice(34, (200, 3), -128, 128, 0.5) * np.float32([1, 1, 2.0**-20])
     direction = _lattice(35, (200, 3), -7, 7) * np.float32([1, 1, 2.0**-21]) + np.float32([8, 0, 0])
@@ -316,7 +316,7 @@ def _(long):
 
 
 @_enter("rays in the planes of triangles, past and through them")
-def _(long):
+def _rays_in_planes_of_triangles(long):
     rng = np.random.default_rng(44)
     triangles = rng.integers(-6, 7, (15, 3, 3))
     triangles[::3, 2] = 2 * triangles[::3, 1] - triangles[::3, 0]  # without area
@@ -328,19 +328,19 @@ def _(long):
 
 
 @_enter("boxes, axis-parallel rays in face planes")
-def _(long):
+def _boxes_axis_parallel_rays_face_planes(long):
     origin = _lattice(5, (6000 if long else 600, 3), -4, 16, 0.5)
     return exact_case(boxes(3), make_rays(origin, np.resize(_AXES, origin.shape)), rounds=False)
 
 
 @_enter("boxes, rays in face planes and on edges")
-def _(long):
+def _boxes_rays_face_planes_on_edges(long):
     origin = _lattice(6, (6000 if long else 600, 3), -4, 16, 0.5)
     return exact_case(boxes(3), _random_rays(6, origin, _EXACT), rounds=False)
 
 
 @_enter("boxes from 2^40 away")
-def _(long):
+def _boxes_from_far_away(long):
     triangles = boxes(2)
     targets = _lattice(36, (200, 3), -3, 11, 0.5)
     direction = np.resize(_AXES, targets.shape)
@@ -349,33 +349,33 @@ def _(long):
 
 
 @_enter("height field, rays on grid lines")
-def _(long):
+def _height_field_rays_on_grid_lines(long):
     origin = _lattice(7, (6000 if long else 600, 3), 0, 8)
     direction = np.concatenate([_AXES, [[0, -1, 2], [1, -1, -0.0], [-4, 1, 2], [1, 2, 1], [-0.0, 1, 1], [1, 0, 1]]])
     return exact_case(height_field(8), make_rays(origin, np.resize(direction, origin.shape)), rounds=False)
 
 
 @_enter("checkerboard floor, rays in it and through its corners")
-def _(long):
+def _checkerboard_floor_rays_through_corners(long):
     floor = rectangle((0, 0, 0), (8, 0, 0), (0, 0, 8), 8, 8).reshape(8, 8, 6, 3)[::2, ::2].reshape(-1, 3, 3)
     origin = _lattice(8, (800, 3), -1, 18, 0.5) * np.float32([1, 0.25, 1])
     return exact_case(floor, _random_rays(8, origin, _EXACT), rounds=False)
 
 
 @_enter("lattice soup, flat ones and equals among them")
-def _(long):
+def _lattice_soup_with_flat_ones_and_equals(long):
     soup = _lattice(9, (80, 3, 3), -2, 2)
     return exact_case(soup, _random_rays(10, _lattice(10, (9000 if long else 700, 3), -6, 6, 0.5), _EXACT), rounds=False)
 
 
 @_enter("lattice soup, slopes that round")
-def _(long):
+def _lattice_soup_slopes_that_round(long):
     soup = _lattice(9, (80, 3, 3), -2, 2)
     return exact_case(soup, _random_rays(11, _lattice(11, (9000 if long else 700, 3), -6, 6, 0.5), _ROUNDING))
 
 
 @_enter("lattice soup, zeros of both signs")
-def _(long):
+def _lattice_soup_zeros_both_signs(long):
     soup = _lattice(12, (80, 3, 3), -1, 1)
     soup[np.random.default_rng(12).random(soup.shape) < 0.5] *= np.float32(-1)
     origin = _lattice(13, (400, 3), -2, 2, 0.5)
@@ -384,13 +384,13 @@ def _(long):
 
 
 @_enter("one triangle")
-def _(long):
+def _one_triangle(long):
     one = np.float32([[[0, 0, 0], [4, 0, 0], [0, 4, 0]]])
     return exact_case(one, _random_rays(14, _lattice(14, (800, 3), -4, 12, 0.5), _EXACT), rounds=False)
 
 
 @_enter("origins on faces, edges and vertices")
-def _(long):
+def _origins_on_faces_edges_vertices(long):
     points = _corners_and_middles(boxes(2))[:: 1 if long else 2]
     slanted = list(itertools.product((1, -1), (2, -1), (4, -2, 0)))
     direction = np.concatenate([_AXES[:: 1 if long else 4], slanted])
@@ -401,34 +401,34 @@ def _(long):
 
 
 @_enter("origins a hair off a surface")
-def _(long):
+def _origins_hair_off_surface(long):
     rng = np.random.default_rng(15)
     origin = rng.choice(np.float32([0, 1e-20, -1e-20, 1e-40, -1e-40, 0.25, 1, 1.5]), (1500 if long else 300, 3))
     return exact_case(boxes(2), make_rays(origin, rng.uniform(-1, 1, origin.shape)))
 
 
 @_enter("copies: a thousand, some of them reversed")
-def _(long):
+def _thousand_copies_some_reversed(long):
     triangles = np.concatenate([_QUAD - np.float32([0, 0, 3]), *[_QUAD, _QUAD[:, ::-1]] * 250])
     return exact_case(triangles, _random_rays(16, _lattice(16, (40, 3), -8, 8, 0.5), _EXACT), rounds=False)
 
 
 @_enter("copies: a hundred thousand")
-def _(long):
+def _hundred_thousand_copies(long):
     rays = _random_rays(17, _lattice(17, (60, 3), -8, 8, 0.5), _EXACT)
     one = exact_case(_QUAD[:1], rays, rounds=False)
     return one._replace(triangles=np.repeat(_QUAD[:1], 100_000, axis=0), answer=one.answer._replace(met=None))
 
 
 @_enter("overlapping triangles in two planes")
-def _(long):
+def _overlapping_triangles_two_planes(long):
     in_plane = _lattice(18, (60, 3, 3), -3, 3) * np.float32([1, 1, 0])
     triangles = np.concatenate([in_plane, np.roll(in_plane[::-1], 1, axis=2) + np.float32([1, 0, 0])])
     return exact_case(triangles, _random_rays(19, _lattice(19, (600, 3), -8, 8, 0.5), _EXACT), rounds=False)
 
 
 @_enter("slivers, a hundred thousand times as long as wide and more")
-def _(long):
+def _slivers(long):
     rng = np.random.default_rng(21)
     a, along, across = rng.uniform(-1, 1, (3, 40, 3))
     width = 10.0 ** -rng.uniform(5, 7, (40, 1))
@@ -441,7 +441,7 @@ _ALMOST_0 = np.cos(np.pi / 2)  # 6e-17
 
 
 @_enter("slivers as wide as cos(pi/2) at the end of a floor")
-def _(long):
+def _slivers_at_the_end_of_a_floor(long):
     floor = rectangle((-1, 0, 0), (1, 0, 0), (0, 0, 1), 1, 200)
     floor = np.concatenate([floor, [[(0, 0, 0), (_ALMOST_0, 0, 0), (0, 0, 1)]] * 3]).astype(np.float32)
     targets = np.concatenate([floor[:: 1 if long else 6].mean(axis=1), floor[-40:, 1]])
@@ -449,7 +449,7 @@ def _(long):
 
 
 @_enter("half a disc, its diameter bent by cos(pi/2)")
-def _(long):
+def _half_disc_with_a_bent_diameter(long):
     angle = np.linspace(np.pi / 2, 3 * np.pi / 2, 160 if long else 40)
     rim = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
     disc = np.stack([0 * rim[1:], rim[:-1], rim[1:]], axis=1).astype(np.float32)
@@ -458,7 +458,7 @@ def _(long):
 
 
 @_enter("triangles without area among others")
-def _(long):
+def _some_triangles_without_area(long):
     a, along = _lattice(22, (40, 3), -3, 3), _lattice(23, (40, 3), -2, 2)
     flat = np.stack([a, a + along, a - along], axis=1)
     flat[::3, 1:] = flat[::3, :1]
@@ -469,7 +469,7 @@ def _(long):
 
 
 @_enter("only triangles without area")
-def _(long):
+def _only_triangles_without_area(long):
     a, along = _lattice(41, (30, 3), -3, 3), _lattice(42, (30, 3), -2, 2)
     flat = np.stack([a, a + along, a - along], axis=1)
     return exact_case(flat, _random_rays(43, np.repeat(a, 10, axis=0), _EXACT), rounds=False)
@@ -481,7 +481,7 @@ def _cone(apex, ring) -> np.ndarray:
 
 
 @_enter("many triangles that share a vertex")
-def _(long):
+def _many_triangles_around_a_vertex(long):
     angle = np.linspace(0, 2 * np.pi, 1_000_000 if long else 20_000, endpoint=False)
     ring = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
     share = np.array([0.3, 0.6, 0.9, 1.0])[:, None, None]
@@ -492,7 +492,7 @@ def _(long):
 
 
 @_enter("cone, exactly through its apex and edges")
-def _(long):
+def _cone_exactly_through_apex_edges(long):
     angle = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     ring = np.round(np.stack([500 * np.cos(angle), 500 * np.sin(angle), 0 * angle], axis=1))
     cone = _cone((0, 0, 400), ring)
@@ -501,7 +501,7 @@ def _(long):
 
 
 @_enter("triangles with one centre")
-def _(long):
+def _triangles_with_one_centre(long):
     i, r = np.arange(1, 61)[:, None], np.random.default_rng(27).integers(-1, 2, (60, 2))
     size = np.concatenate([i, 61 - i, i], axis=1)
     third = np.concatenate([r * size[:, :2], size[:, 2:]], axis=1)
@@ -510,7 +510,7 @@ def _(long):
 
 
 @_enter("needles along a diagonal")
-def _(long):
+def _needles_along_diagonal(long):
     i = np.arange(3000)
     a = np.stack([i, 0 * i, 7 * i % 11], axis=1)
     needles = np.stack([a, a + 4096, a + np.array([4096, 4097, 4096])], axis=1)
@@ -518,7 +518,7 @@ def _(long):
 
 
 @_enter("stack of sheets, the highest first")
-def _(long):
+def _stack_of_sheets(long):
     # So thin a stack that no split of a BVH pays: one leaf of all. Between sheets k and k + 1 a ray leaves for sheet k.
     n = 40_000 if long else 3_000
     sheet = np.roll(_QUAD, 1, axis=2) * np.float32(2.0**32)
@@ -533,13 +533,13 @@ def _(long):
 
 
 @_enter("ten boxes around each other, each twice as large")
-def _(long):
+def _ten_nested_boxes(long):
     nested = np.concatenate([box(3 * (-(2.0**k),), 3 * (2.0**k,)) for k in range(-5, 5)])
     return exact_case(nested, _random_rays(32, _lattice(32, (600, 3), -20, 20) * np.float32(2.0**-4), _EXACT), rounds=False)
 
 
 @_enter("a triangle at every power of two")
-def _(long):
+def _triangle_every_power_two(long):
     powers = np.exp2(np.arange(-60.0, 60))[:, None, None] * np.eye(3)
     origins = -np.exp2([[-70.0], [-1.0], [40.0], [70.0]]) * np.ones(3)
     directions = np.array([[1, 1, 1], [1, 2, 4], [4, 1, 1], [3, 5, 7], [1, 0, 0.0]])
@@ -549,7 +549,7 @@ def _(long):
 
 
 @_enter("t_min and t_max at a hit, and one ulp beside")
-def _(long):
+def _t_min_and_t_max_at_a_hit(long):
     triangles = np.concatenate([_QUAD + np.float32([0, 0, z]) for z in (1, 2, 2, 5)])
     ends = np.array([x for t in (0.25, 0.5, 1, 2, 5) for x in (np.nextafter(t, 0), t, np.nextafter(t, 9))])
     t_min, t_max = (a.reshape(-1) for a in np.meshgrid([0.0, *ends], [*ends, np.inf]))
@@ -559,12 +559,12 @@ def _(long):
 
 
 @_enter("t_min above t_max")
-def _(long):
+def _t_min_above_t_max(long):
     return known_case(_QUAD, make_rays([0.5, 0.25, -1], np.resize([[0, 0, 1], [1, -1, 2]], (200, 3)), 2.0, 0.5), False)
 
 
 @_enter("sheets one ulp apart")
-def _(long):
+def _sheets_one_ulp_apart(long):
     z = np.float32([1, 1e6])
     z = np.concatenate([np.nextafter(z, np.float32(0)), z, np.nextafter(z, np.float32(1e9))])
     sheets = np.concatenate([_QUAD * np.float32(100) + np.float32([0, 0, at]) for at in z])
@@ -574,7 +574,7 @@ def _(long):
 
 
 @_enter("boxes one ulp wide")
-def _(long):
+def _boxes_one_ulp_wide(long):
     ulp = 2.0**-23
     one, far = box((1, 1, 1), 3 * (1 + ulp,)), box((2, 1, 1), 3 * (2 + 2 * ulp,))
     points = 1 + _lattice(37, (600, 3), -1, 2, ulp)
@@ -583,14 +583,14 @@ def _(long):
 
 
 @_enter("a tiny ball in a huge box")
-def _(long):
+def _tiny_ball_in_a_huge_box(long):
     triangles = np.concatenate([icosphere(1) * np.float32(1e-12), box(3 * (-1e12,), 3 * (1e12,))])
     origins = np.concatenate([_INSIDE[1:] * 1e-12, _OUTSIDE[:1], _OUTSIDE[:1] * 1e11])
     return exact_case(triangles, aimed(origins, _corners_and_middles(icosphere(1) * np.float32(1e-12))), is_closed=True)
 
 
 @_enter("soup of mixed magnitudes")
-def _(long):
+def _soup_mixed_magnitudes(long):
     rng = np.random.default_rng(38)
     values = np.float32([0, 1, -1, 1e-5, -1e-5, 1e-10, -1e-10, 1e-20, -1e-20])
     soup = rng.choice(values, (30, 3, 3))
@@ -600,7 +600,7 @@ def _(long):
 
 
 @_enter("soup of random exponents")
-def _(long):
+def _soup_random_exponents(long):
     rng = np.random.default_rng(39)
     soup, origin, direction = (
         (rng.uniform(-2, 2, shape) * np.exp2(rng.integers(-100, 100, shape))).astype(np.float32)
@@ -634,7 +634,7 @@ for _size in (1e9, 1e12, 1e13, 1e14, 1e20, 1e30, 1e38):
 
 
 @_enter("strays: triangles of sizes from 1 to 1e37 in one another")
-def _(long):
+def _strays_in_one_another(long):
     rng = np.random.default_rng(51)
     size = 10.0 ** np.concatenate([np.zeros(20), rng.uniform(5, 37, 20)])[:, None, None]
     soup = (rng.uniform(-1, 1, (40, 3, 3)) * size).astype(np.float32)
@@ -647,7 +647,7 @@ def _(long):
 
 
 @_enter("rays that are none: not finite, or without a direction")
-def _(long):
+def _rays_that_are_none(long):
     rng = np.random.default_rng(52)
     n = 2000 if long else 400
     origin, direction = rng.uniform(-2, 2, (n, 3)).astype(np.float32), rng.uniform(-1, 1, (n, 3)).astype(np.float32)

@@ -10,7 +10,10 @@ import numpy as np
 from nptrace_base.jit import kernel
 
 # Indices are unsigned: Numba tests a signed one for wrap-around at every access, 7 % of a build.
-ZERO, ONE, THREE, SIX, NINE = (np.uint64(k) for k in (0, 1, 3, 6, 9))
+ZERO, ONE, AXES = (np.uint64(k) for k in (0, 1, 3))
+#: Numbers of a point, a box (a lower, then an upper corner) and a triangle; where vertices, and an upper corner, start.
+POINT, BOX, CORNERS = AXES, np.uint64(6), np.uint64(9)
+SECOND, THIRD, UPPER = POINT, np.uint64(6), POINT
 
 #: Room for a polygon, in numbers. A convex one has 3 vertices and one more per plane that cuts it (6 of them); rounding can
 #: bend a thin one so that a plane cuts it more than twice, which adds half its vertices at most: 3 * 1.5**6 < 36.
@@ -55,7 +58,7 @@ def _cross(points, a, b, axis, plane, out):
     if points[a + axis] > plane:
         a, b = b, a
     t = (plane - points[a + axis]) / (points[b + axis] - points[a + axis])
-    for k in range(THREE):
+    for k in range(AXES):
         points[out + k] = points[a + k] + (points[b + k] - points[a + k]) * t
     points[out + axis] = plane
 
@@ -68,26 +71,26 @@ def _cut(points, first, n, axis, plane, side, out):
     """
     end = out
     for i in range(n):
-        a = first + THREE * i
-        b = a + THREE if i + ONE < n else first
+        a = first + POINT * i
+        b = a + POINT if i + ONE < n else first
         here, there = points[a + axis] - plane, points[b + axis] - plane
         if here * side >= 0.0:
-            for k in range(THREE):
+            for k in range(AXES):
                 points[end + k] = points[a + k]
-            end += THREE
+            end += POINT
         if (here < 0.0 and there > 0.0) or (here > 0.0 and there < 0.0):
             _cross(points, a, b, axis, plane, end)
-            end += THREE
-    return (end - out) // THREE
+            end += POINT
+    return (end - out) // POINT
 
 
 @kernel
 def _include(points, a, box):
     """Widen points[box : box + 6], a lower and an upper corner, to hold point a."""
-    for k in range(THREE):
+    for k in range(AXES):
         x = points[a + k]
         points[box + k] = min(points[box + k], x)
-        points[box + THREE + k] = max(points[box + THREE + k], x)
+        points[box + UPPER + k] = max(points[box + UPPER + k], x)
 
 
 @kernel
@@ -96,12 +99,12 @@ def _write_bounds(points, box, slack, lo, hi, out, at):
 
     Where nothing is left (by rounding: clipped to another cell, the triangle just reached this one) lo and hi stand.
     """
-    lower, upper = points[box], points[box + THREE]
+    lower, upper = points[box], points[box + UPPER]
     if lower <= upper:
         inner_lo, inner_hi = max(lo, _rank_below(lower - slack)), min(hi, _rank_above(upper + slack))
         if inner_lo <= inner_hi:
             lo, hi = inner_lo, inner_hi
-    out[at], out[at + THREE] = lo, hi
+    out[at], out[at + UPPER] = lo, hi
 
 
 @kernel
@@ -127,33 +130,34 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
     slack : float
         How far around the triangle its part reaches: 0, but for strays (``rtrace.trees.strays``).
     """
-    corner, axis, at, v = np.uint64(corner), np.uint64(axis), np.uint64(at), NINE * np.uint64(triangle)
-    for k in range(NINE):
+    corner, axis, at, v = np.uint64(corner), np.uint64(axis), np.uint64(at), CORNERS * np.uint64(triangle)
+    for k in range(CORNERS):
         points[k] = vertices[v + k]
-    n, first, out = THREE, ZERO, POLYGON
-    for k in range(THREE):
-        a, b, c = vertices[v + k], vertices[v + THREE + k], vertices[v + SIX + k]
+    n, first, out = AXES, ZERO, POLYGON  # three points
+    for k in range(AXES):
+        a, b, c = vertices[v + k], vertices[v + SECOND + k], vertices[v + THIRD + k]
         for side in range(-1, 2, 2):
-            plane = cell[corner + k] - slack if side > 0 else cell[corner + THREE + k] + slack
-            if min(a, b, c) < plane if side > 0 else max(a, b, c) > plane:
-                n = _cut(points, first, n, k, plane, side, out)
+            face = cell[corner + k] - slack if side > 0 else cell[corner + UPPER + k] + slack
+            if min(a, b, c) < face if side > 0 else max(a, b, c) > face:
+                n = _cut(points, first, n, k, face, side, out)
                 first, out = out, first
-    plane = value(split)
+    position = value(split)
     lowest, highest = np.inf, -np.inf
     for i in range(n):
-        x = points[first + THREE * i + axis]
+        x = points[first + POINT * i + axis]
         lowest, highest = min(lowest, x), max(highest, x)
     # By rounding a part may have no point on its side: then it has the nearest ones, so that its bounds stay near it.
-    low_plane, high_plane = plane - slack, plane + slack
+    low_plane, high_plane = position - slack, position + slack
     top_of_below, bottom_of_above = max(high_plane, lowest), min(low_plane, highest)
     crossing = POLYGON + POLYGON
-    in_below, in_above = crossing + THREE, crossing + NINE
-    for k in range(THREE):  # empty boxes
+    in_below = crossing + POINT
+    in_above = in_below + BOX
+    for k in range(AXES):  # empty boxes
         points[in_below + k] = points[in_above + k] = np.inf
-        points[in_below + THREE + k] = points[in_above + THREE + k] = -np.inf
+        points[in_below + UPPER + k] = points[in_above + UPPER + k] = -np.inf
     for i in range(n):
-        a = first + THREE * i
-        b = a + THREE if i + ONE < n else first
+        a = first + POINT * i
+        b = a + POINT if i + ONE < n else first
         x, y = points[a + axis], points[b + axis]
         if x <= top_of_below:
             _include(points, a, in_below)
@@ -167,7 +171,7 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
         if slack > 0.0 and ((x < low_plane and y > low_plane) or (x > low_plane and y < low_plane)):
             _cross(points, a, b, axis, low_plane, crossing)
             _include(points, crossing, in_above)
-    for k in range(THREE):
-        lo, hi = np.int64(bounds[at + k]), np.int64(bounds[at + THREE + k])
+    for k in range(AXES):
+        lo, hi = np.int64(bounds[at + k]), np.int64(bounds[at + UPPER + k])
         _write_bounds(points, in_below + k, slack, lo, min(hi, split) if k == axis else hi, below, at + k)
         _write_bounds(points, in_above + k, slack, max(lo, split) if k == axis else lo, hi, above, at + k)

@@ -19,11 +19,24 @@ from typing import NamedTuple
 import numpy as np
 
 from nptrace_base.errors import NptraceError
-from nptrace_base.jit import kernel
+from nptrace_base.jit import inlined, kernel
 from rtrace.trees.clip import POLYGON, split_bounds, value
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room, slack_of
-from rtrace.trees.tree import KD_NODE, LEAF_AXIS, Tree, check_finite, triangle_boxes, words
+from rtrace.trees.tree import (
+    AXIS_BITS,
+    AXIS_MASK,
+    FIRST,
+    KD_META,
+    KD_NODE,
+    KD_WORDS,
+    LEAF_AXIS,
+    SPLIT,
+    Tree,
+    check_finite,
+    triangle_boxes,
+    words,
+)
 
 # An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
 # what lies in it, and that before what starts there.
@@ -31,6 +44,9 @@ _END, _PLANAR, _START = 0, 1 << 30, 2 << 30
 _KIND = 3 << 30
 _TRIANGLE = (1 << 30) - 1
 _PLACE = -1 << 32
+
+# A cell's box, or a triangle's bounds: a lower, then an upper corner.
+_BOX, _UPPER = 6, 3
 
 _BELOW, _ABOVE, _BOTH = 1, 2, 3
 
@@ -73,14 +89,23 @@ class _Scratch(NamedTuple):
 @kernel
 def _half_area(boxes, cell):
     """Return half the surface area of a cell, in float64: no product of float32 lengths is lost at either end."""
-    dx = boxes[6 * cell + 3] - boxes[6 * cell]
-    dy = boxes[6 * cell + 4] - boxes[6 * cell + 1]
-    dz = boxes[6 * cell + 5] - boxes[6 * cell + 2]
+    lower = _BOX * cell
+    upper = lower + _UPPER
+    dx, dy, dz = boxes[upper] - boxes[lower], boxes[upper + 1] - boxes[lower + 1], boxes[upper + 2] - boxes[lower + 2]
     return dx * dy + dy * dz + dz * dx
 
 
+@inlined
+def _plane_at(event, first_above):
+    """Return the plane through an event's position; ``first_above`` is the least kind of events there that are above it.
+
+    _PLANAR puts the triangles that lie in the plane above it, _START below.
+    """
+    return (event & _PLACE) + first_above
+
+
 @kernel
-def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
+def _sweep(events, axis, span, boxes, cell, n, costs, best):
     """Return the cheapest plane across one axis, (cost, plane), or ``best`` when that is as cheap.
 
     Costs are in intersections x half the cell's area; half a child's area is linear in the position: cap + rim * length.
@@ -90,10 +115,10 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
     too low: the least cost is that of the final ones, without a branch on the kind of event. But counts too high may cost as
     little, by rounding, so those of the plane found are left to ``_classify``.
     """
-    cost, plane = best
-    lo, hi = boxes[6 * cell + axis], boxes[6 * cell + 3 + axis]
-    y, z = 6 * cell + (axis + 1) % 3, 6 * cell + (axis + 2) % 3
-    dy, dz = boxes[y + 3] - boxes[y], boxes[z + 3] - boxes[z]
+    (begin, end), (trav, empty_bonus), (cost, plane) = span, costs, best
+    lo, hi = boxes[_BOX * cell + axis], boxes[_BOX * cell + _UPPER + axis]
+    y, z = _BOX * cell + (axis + 1) % 3, _BOX * cell + (axis + 2) % 3
+    dy, dz = boxes[y + _UPPER] - boxes[y], boxes[z + _UPPER] - boxes[z]
     cap, rim = dy * dz, dy + dz
     fixed = trav * (cap + (hi - lo) * rim)
     below, above = np.int64(0), n
@@ -102,7 +127,7 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
     # Only the first and the last plane can leave a child empty.
     trial = empty_bonus * (fixed + (cap + (hi - first) * rim) * n)
     if trial < cost and first > lo:
-        cost, plane = trial, (events[axis, begin] & _PLACE) + _PLANAR
+        cost, plane = trial, _plane_at(events[axis, begin], _PLANAR)
     i, stop = np.uint64(begin), np.uint64(end)  # unsigned: no test for a negative index, 15 % of a sweep
     while i < stop:
         event = events[axis, i]
@@ -113,7 +138,7 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
             above -= kind == _END
             trial = fixed + (area_below * below + area_above * above)
             if trial < cost and lo < x < hi:
-                cost, plane = trial, (event & _PLACE) + (kind >> 1) + _PLANAR
+                cost, plane = trial, _plane_at(event, _PLANAR if kind == _END else _START)
             below += kind == _START
             i += np.uint64(1)
         else:
@@ -124,23 +149,23 @@ def _sweep(events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):
             # At the cell's border only the flat side is of use: it takes the planar triangles out of the cell.
             trial = fixed + (area_below * (below + planar) + area_above * (above - planar))
             if x < hi and (trial < cost or (trial == cost < best[0] and plane >> 32 == event >> 32)):
-                cost, plane = trial, (event & _PLACE) + _START
+                cost, plane = trial, _plane_at(event, _START)
             trial = fixed + (area_below * below + area_above * above)
             if trial < cost and x > lo:
-                cost, plane = trial, (event & _PLACE) + _PLANAR
+                cost, plane = trial, _plane_at(event, _PLANAR)
             below += planar
             above -= planar
     trial = empty_bonus * (fixed + (cap + (last - lo) * rim) * n)
     if last < hi and (trial < cost or (trial == cost < best[0] and plane >> 32 == events[axis, end - 1] >> 32)):
-        cost, plane = trial, (events[axis, end - 1] & _PLACE) + _START
+        cost, plane = trial, _plane_at(events[axis, end - 1], _START)
     return cost, plane
 
 
 @kernel
-def _classify(events, axis, begin, end, plane, n, side):
+def _classify(events, axis, span, plane, n, side):
     """Write on which side of the plane each of the cell's n triangles is; return how many are on it (below, above)."""
     n_below, n_above = np.int64(0), n
-    i, stop = np.uint64(begin), np.uint64(end)
+    i, stop = np.uint64(span[0]), np.uint64(span[1])
     while i < stop and events[axis, i] < plane:
         event = events[axis, i]
         kind = event & _KIND
@@ -157,13 +182,14 @@ def _classify(events, axis, begin, end, plane, n, side):
 
 
 @kernel
-def _partition(events, axis, begin, end, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts):
+def _partition(events, axis, span, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts):
     """Sort the events of one axis out: the upper child's to the front, the lower one's to ``kept``, straddlers' to ``cut``.
 
     Return the number of straddlers; the first axis lists them, every axis writes its part of their bounds.
     """
-    n_below, n_cut, n_above = np.uint64(0), np.uint64(0), np.uint64(begin)  # unsigned as in a sweep
-    for i in range(np.uint64(begin), np.uint64(end)):
+    begin, end = np.uint64(span[0]), np.uint64(span[1])
+    n_below, n_cut, n_above = np.uint64(0), np.uint64(0), begin  # unsigned as in a sweep
+    for i in range(begin, end):
         event = events[axis, i]
         triangle = np.uint64(event & _TRIANGLE)
         where = side[triangle]
@@ -179,11 +205,11 @@ def _partition(events, axis, begin, end, n_straddlers, side, slot, straddlers, b
                 n_straddlers += 1
             cut[axis, n_cut] = event
             n_cut += np.uint64(1)
-            at = 6 * slot[triangle] + axis
+            at = _BOX * slot[triangle] + axis
             if kind != _END:
                 bounds[at] = event >> 32
             if kind != _START:
-                bounds[at + 3] = event >> 32
+                bounds[at + _UPPER] = event >> 32
     counts[axis], counts[3 + axis], counts[6 + axis] = n_below, n_cut, n_above
     return n_straddlers
 
@@ -194,8 +220,8 @@ def _renew(cut, axis, n_cut, slot, bounds, fresh):
     n = np.int64(0)
     for i in range(n_cut):
         kind, triangle = cut[axis, i] & _KIND, cut[axis, i] & _TRIANGLE
-        at = 6 * slot[triangle] + axis
-        lo, hi = np.int64(bounds[at]), np.int64(bounds[at + 3])
+        at = _BOX * slot[triangle] + axis
+        lo, hi = np.int64(bounds[at]), np.int64(bounds[at + _UPPER])
         flat = lo == hi
         fresh[n] = ((hi if kind == _END else lo) << 32) | (_PLANAR if flat else kind) | triangle
         n += 0 if flat and kind == _END else 1
@@ -234,14 +260,16 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
     Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs,
     the limit of ``strays``).
     """
-    # Unpacked here: a kernel that takes an array out of a tuple counts references, 10 % of the time.
+    # Unpacked here, and handed on one by one: a kernel that takes an array out of a tuple counts references, 5 to 10 % of the
+    # time of a build.
     trav, empty_bonus, max_level, max_refs, far = limits
+    costs = trav, empty_bonus
     cell_node, cell_level, cell_refs, ceiling, begin, end, boxes = cells
     side, slot, straddlers, bounds, below, above, kept, cut, fresh, spare, counts, points = scratch
     while state[_WAITING] > 0:
         cell = state[_WAITING] - 1
         node, level, n = cell_node[cell], cell_level[cell], cell_refs[cell]
-        if 2 * (state[_NODES] + 2) > uints.size:
+        if KD_WORDS * (state[_NODES] + 2) > uints.size:
             return _OUT_OF_NODES
         if state[_REFS] + n > prims.size:
             return _OUT_OF_PRIMS
@@ -249,20 +277,20 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         best = (half_area * n, np.int64(0))
         if level < max_level and state[_NODES] < _TRIANGLE and half_area > 0.0 and n > empty_bonus * trav:
             for k in range(3):
-                trial = _sweep(events, k, begin[3 * cell + k], end[3 * cell + k], boxes, cell, n, trav, empty_bonus, best)
+                trial = _sweep(events, k, (begin[3 * cell + k], end[3 * cell + k]), boxes, cell, n, costs, best)
                 if trial[0] < best[0]:
                     axis, best = k, trial
         plane, n_below, n_above = best[1], np.int64(0), np.int64(0)
         if axis != LEAF_AXIS:
-            n_below, n_above = _classify(events, axis, begin[3 * cell + axis], end[3 * cell + axis], plane, n, side)
+            n_below, n_above = _classify(events, axis, (begin[3 * cell + axis], end[3 * cell + axis]), plane, n, side)
         n_refs = state[_PENDING] - n + n_below + n_above
         if axis == LEAF_AXIS or n_refs > ceiling[cell]:
             n_fresh = _list_triangles(events, begin[3 * cell], end[3 * cell], fresh)
             sort(fresh, n_fresh, spare)
             for i in range(n):
                 prims[state[_REFS] + i] = fresh[i]
-            uints[2 * node] = state[_REFS]
-            uints[2 * node + 1] = n << 2 | LEAF_AXIS
+            uints[KD_WORDS * node + FIRST] = state[_REFS]
+            uints[KD_WORDS * node + KD_META] = n << AXIS_BITS | LEAF_AXIS
             state[_REFS] += n
             state[_WAITING] -= 1
             continue
@@ -273,12 +301,12 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         # The upper child takes the cell's place, the lower one the place above it.
         n_straddlers = np.int64(0)
         for k in range(3):
-            i, j = begin[3 * cell + k], end[3 * cell + k]
-            n_straddlers = _partition(events, k, i, j, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts)
+            span = begin[3 * cell + k], end[3 * cell + k]
+            n_straddlers = _partition(events, k, span, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts)
         for i in range(n_straddlers):
             slack = slack_of(vertices, straddlers[i], far) if far < np.inf else 0.0
             split_bounds(
-                vertices, straddlers[i], boxes, 6 * cell, axis, plane >> 32, bounds, 6 * i, below, above, points, slack
+                vertices, straddlers[i], boxes, _BOX * cell, axis, plane >> 32, bounds, _BOX * i, below, above, points, slack
             )
         for k in range(3):
             at, n_kept, n_cut = 3 * cell + k, counts[k], counts[3 + k]
@@ -291,14 +319,15 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
             n_fresh = _renew(cut, k, n_cut, slot, below, fresh)
             sort(fresh, n_fresh, spare)
             end[at + 3] = _merge(events, k, middle, middle + n_kept, fresh, n_fresh)
-            boxes[6 * cell + 6 + k], boxes[6 * cell + 9 + k] = boxes[6 * cell + k], boxes[6 * cell + 3 + k]
+            boxes[_BOX * (cell + 1) + k] = boxes[_BOX * cell + k]
+            boxes[_BOX * (cell + 1) + _UPPER + k] = boxes[_BOX * cell + _UPPER + k]
         split, child = value(plane >> 32), state[_NODES]
-        boxes[6 * cell + axis] = split
-        boxes[6 * cell + 9 + axis] = split
+        boxes[_BOX * cell + axis] = split
+        boxes[_BOX * (cell + 1) + _UPPER + axis] = split
         cell_node[cell], cell_level[cell], cell_refs[cell] = child + 1, level + 1, n_above
         cell_node[cell + 1], cell_level[cell + 1], cell_refs[cell + 1] = child, level + 1, n_below
-        floats[2 * node] = split
-        uints[2 * node + 1] = child << 2 | axis
+        floats[KD_WORDS * node + SPLIT] = split
+        uints[KD_WORDS * node + KD_META] = child << AXIS_BITS | axis
         state[_WAITING] += 1
         state[_NODES] += 2
         # Past the first half, what may be added is shared: else a fan uses it up on one side, the other stays unsplit.
@@ -411,8 +440,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     limits = float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs), extent.limit
     nodes, prims = np.empty(16 * n + 64, np.uint32), np.empty(8 * n + 64, np.int32)
     state = np.array([1, 1, 0, n, 0], np.int64)
-    # As plain tuples: a NamedTuple's class goes into the compile cache, by the name that this module was imported as.
-    fixed = tuple(cells), tuple(scratch), limits, state
+    fixed = cells, scratch, limits, state
     while (lacks := _build(triangles.reshape(-1), events, nodes.view(np.float32), nodes, prims, *fixed)) != _DONE:
         if lacks == _OUT_OF_NODES:
             nodes = _grown(nodes)
@@ -429,7 +457,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         "max_level": int(max_level),
         "max_refs": int(max_refs),
     }
-    nodes = nodes[: 2 * state[_NODES]].copy().view(KD_NODE)
+    nodes = nodes[: KD_WORDS * state[_NODES]].copy().view(KD_NODE)
     prims = prims[: state[_REFS]].copy()
     corners = np.take(triangles, prims, axis=0)
     return Tree("kdtree", nodes, prims, corners, triangles, extent.bounds, extent.core, int(state[_DEEPEST]), params)
@@ -443,15 +471,16 @@ def _sah(floats, uints, boxes, stack, c_trav, c_isect):
     while waiting > 0:
         cell = waiting - 1
         node, half_area = stack[cell], _half_area(boxes, cell)
-        axis, count = uints[2 * node + 1] & 3, np.int64(uints[2 * node + 1] >> 2)
+        meta = uints[KD_WORDS * node + KD_META]
+        axis, count = meta & AXIS_MASK, np.int64(meta >> AXIS_BITS)
         if axis == LEAF_AXIS:
             total += c_isect * count * half_area
             waiting -= 1
         else:
             total += c_trav * half_area
-            for k in range(6):
-                boxes[6 * cell + 6 + k] = boxes[6 * cell + k]
-            boxes[6 * cell + axis] = boxes[6 * cell + 9 + axis] = floats[2 * node]
+            for k in range(_BOX):
+                boxes[_BOX * (cell + 1) + k] = boxes[_BOX * cell + k]
+            boxes[_BOX * cell + axis] = boxes[_BOX * (cell + 1) + _UPPER + axis] = floats[KD_WORDS * node + SPLIT]
             stack[cell], stack[cell + 1] = count + 1, count
             waiting += 1
     return total

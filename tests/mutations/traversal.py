@@ -87,7 +87,7 @@ MUTATIONS = [
     Mutation("kd-tree: leaves not sorted", "rtrace/trees/kdtree.py", "sort(fresh, n_fresh, spare)\n            for i in range(n):",
              "for i in range(n):", KD),
     Mutation("clipping: one plane of the cell skipped", "rtrace/trees/clip.py", "for side in range(-1, 2, 2):", "for side in range(1, 2, 2):", KD),
-    Mutation("clipping: no crossing points", "rtrace/trees/clip.py", "            end += THREE\n", "            end += ZERO\n", KD),
+    Mutation("clipping: no crossing points", "rtrace/trees/clip.py", "            end += POINT\n", "            end += ZERO\n", KD),
     Mutation("BVH: pairs not cut along the longest axis", "rtrace/trees/bvh.py", "if end - start == 2:", "if end - start == 1:", BVH),
     Mutation("BVH: last split position never tried", "rtrace/trees/bvh.py", "for i in range(start, end - 1):",
              "for i in range(start, end - 2):", BVH),

@@ -14,7 +14,7 @@ MUTATIONS = [
     Mutation("strays: no room around their parts in a kd-tree", "rtrace/trees/strays.py", "return SLACK * largest if largest > limit else 0.0", "return 0.0", STRAYS),
     Mutation("strays: they belong to the core", "rtrace/trees/strays.py", "near[strays] = False", "near[strays] = True", STRAYS),
     Mutation("strays: binned records keep their tight boxes", "rtrace/trees/binned_sah.py", "boxes[:, :3], boxes[:, 3:6] = lower, NOTHING - upper", "pass", STRAYS),
-    Mutation("clip: parts of strays do not reach across the plane", "rtrace/trees/clip.py", "low_plane, high_plane = plane - slack, plane + slack", "low_plane, high_plane = plane, plane", STRAYS),
+    Mutation("clip: parts of strays do not reach across the plane", "rtrace/trees/clip.py", "low_plane, high_plane = position - slack, position + slack", "low_plane, high_plane = position, position", STRAYS),
     Mutation("clip: bounds of parts of strays are tight", "rtrace/trees/clip.py", "min(hi, _rank_above(upper + slack))", "min(hi, _rank_above(upper))", STRAYS),
     Mutation("tree cache: the core is the whole box", "rtrace/trees/tree_cache.py", "np.stack((tree.bounds, tree.core))", "np.stack((tree.bounds, tree.bounds))", "tests/rtrace/trees/test_tree_cache.py"),
     Mutation("traversal: the inverse of a zero has its sign", "rtrace/intersect.py", "return 1.0 / d if d != 0.0 else HUGE", "return 1.0 / d if d != 0.0 else np.copysign(HUGE, d)", RULES),

@@ -66,8 +66,9 @@ class _Steps:
         self._members: set[int] = set()
         self._claimed = (0, 0)
 
-    def _sweep(self, events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best):  # type: ignore[no-untyped-def]
+    def _sweep(self, events, axis, span, boxes, cell, n, costs, best):  # type: ignore[no-untyped-def]
         """The events are those of n triangles, the same on all axes; the cost found is that of the counts below and above."""
+        (begin, end), (trav, empty_bonus) = span, costs
         lo, hi = float(boxes[6 * cell + axis]), float(boxes[6 * cell + 3 + axis])
         listed = events[axis, begin:end].tolist()
         assert all(a < b for a, b in itertools.pairwise(listed)), "events out of order, or twice"
@@ -77,7 +78,7 @@ class _Steps:
         assert len(first) == len(last) == n and set(first) == set(last), "a cell's events are not those of its triangles"
         self._members = set(first) if axis == 0 else self._members
         assert self._members == set(first), "the axes have other triangles"
-        found = self._kernels["_sweep"](events, axis, begin, end, boxes, cell, n, trav, empty_bonus, best)
+        found = self._kernels["_sweep"](events, axis, span, boxes, cell, n, costs, best)
         if found[0] < best[0]:
             below = [event for event in listed if event < found[1]]
             n_below = sum(event & kdtree._KIND != kdtree._END for event in below)
@@ -89,19 +90,20 @@ class _Steps:
             assert cost * (1.0 if n_below and n_above else empty_bonus) == found[0], "a cost that is not its plane's"
         return found
 
-    def _classify(self, events, axis, begin, end, plane, n, side):  # type: ignore[no-untyped-def]
+    def _classify(self, events, axis, span, plane, n, side):  # type: ignore[no-untyped-def]
         """As many triangles are below and above as it says."""
-        claimed = self._kernels["_classify"](events, axis, begin, end, plane, n, side)
+        claimed = self._kernels["_classify"](events, axis, span, plane, n, side)
         sides = [side[triangle] for triangle in self._members]
         assert claimed == (sum(s & 1 for s in sides), sum(s >> 1 for s in sides)), "counts that are not the sides'"
         self._claimed = claimed
         return claimed
 
-    def _partition(self, events, axis, begin, end, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts):  # type: ignore[no-untyped-def]
+    def _partition(self, events, axis, span, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts):  # type: ignore[no-untyped-def]
         """The children get so many triangles, on each axis."""
         n_straddlers = self._kernels["_partition"](
-            events, axis, begin, end, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts
+            events, axis, span, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts
         )
+        begin = span[0]
         parts = (kept[axis, : counts[axis]], events[axis, begin : counts[6 + axis]], cut[axis, : counts[3 + axis]])
         below, above, both = (int((part & kdtree._KIND != kdtree._END).sum()) for part in parts)
         assert (below + both, above + both) == self._claimed, "counts that are not the partition's"
