@@ -199,7 +199,7 @@ def test_names_that_are_no_text(tmp_path):
                 [sys.executable, "-c", code, *command[1:]], cwd=folder, env={**env, "PYTHONPATH": os.getcwd()},
                 capture_output=True, check=False, timeout=120,
             )  # fmt: skip
-            assert done.returncode == (2 if command[1:3] == ["replay", "--traces"] else 0), done.stderr
+            assert done.returncode == 0, done.stderr
             assert b"damaged" not in done.stderr and b"Traceback" not in done.stderr
     assert (folder / "bunn\\xff-kdtree.din").exists() and (folder / os.fsdecode(b"o\xe9.parquet")).exists()
 
