@@ -2,8 +2,8 @@
 
 Lines are uint32. A source may number them from its lowest line: that turns the sets round and changes no count. The state is
 updated in place, so replaying a trace in batches is replaying it at once. Measured in one run, ns per access from memory:
-direct mapped 1.7, two ways 2.7, against 4.7 and 5.9 with the linked lists of ``exact``. From three ways on these are as fast
-as moving an array to the front (four ways 6.3 against 5.2, eight 6.7 against 7.4, sixteen 6.6 against 9.5).
+direct mapped 1.7, two ways 2.7, against 4.7 and 5.9 with the linked lists of ``replacement``. From three ways on these
+are as fast as moving an array to the front (four ways 6.3 against 5.2, eight 6.7 against 7.4, sixteen 6.6 against 9.5).
 """
 
 import numpy as np

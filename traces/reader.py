@@ -109,7 +109,7 @@ class Run:
     def _checked(self, names: tuple[str, ...]) -> Iterator[tuple[np.ndarray, ...]]:
         path, row = self.path / "accesses.parquet", 0
         ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
-        # Not in a thread of its own beside the accesses: the two share a cache, and took 1.2 times the time of all processors.
+        # Not in a thread of its own beside the accesses: the two share a cache, which costs processor time.
         axis = self.columns("nodes", ["axis"])["axis"] if self._axis is None else self._axis
         allowed = kinds_allowed(axis, self.footer.tree.kind)
         for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path):
