@@ -168,8 +168,8 @@ def trace_bvh(tree, rays, any_hit, first, hits, count, events):
     events : uint32 array or None
         Room for the events of all rays, one after another; None: nothing is traced.
     """
-    # Unpacked once: taking an array out of a tuple counts references. Tuples as arguments cost 15 us at a call, which is for
-    # thousands of rays, and nothing in it (0.99 to 1.03 of the time with every array an argument of its own).
+    # Unpacked once: taking an array out of a tuple counts references. Tuples as arguments cost some time at a call, which is for
+    # thousands of rays.
     nodes, meta, prims, corners, core, _, max_level = tree
     origins, directions, t_min, t_max = rays
     prim, hit_t = hits
@@ -282,7 +282,7 @@ def trace_kdtree(tree, rays, any_hit, first, hits, count, events):
                     child = m >> AXIS_BITS
                     near = child + upper_first
                     far = child + ONE - upper_first
-                    # In this order: the near child is nearly always visited, and testing it first cost a third of the speed.
+                    # In this order: the near child is nearly always visited, but testing it first is slower.
                     if visits_far and visits_near:
                         if events is not None:
                             events[n_events] = node << KIND_BITS | PUSH
@@ -385,7 +385,7 @@ class NoRoomError(Exception):
 class Room:
     """Memory for the events of a batch, which grows as needed and serves one batch after another.
 
-    Fresh memory for every batch costs the system up to half the time of the tracing.
+    It stays with its thread, so that a chunk of rays needs no fresh memory from the system (docs/performance.md).
 
     Parameters
     ----------

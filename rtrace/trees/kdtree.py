@@ -260,7 +260,7 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
     Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs,
     the limit of ``strays``).
     """
-    # Unpacked here, and handed on one by one: a kernel that takes an array out of a tuple counts references, 5 to 10 % of the
+    # Unpacked here, and handed on one by one: a kernel that takes an array out of a tuple counts references, a part of the
     # time of a build.
     trav, empty_bonus, max_level, max_refs, far = limits
     costs = trav, empty_bonus
