@@ -168,8 +168,8 @@ def trace_bvh(tree, rays, any_hit, first, hits, count, events):
     events : uint32 array or None
         Room for the events of all rays, one after another; None: nothing is traced.
     """
-    # Unpacked once: taking an array out of a tuple counts references. Tuples as arguments cost some time at a call, which is for
-    # thousands of rays.
+    # Unpacked once: taking an array out of a tuple counts references. Tuples as arguments cost time only at a call, which is
+    # for thousands of rays.
     nodes, meta, prims, corners, core, _, max_level = tree
     origins, directions, t_min, t_max = rays
     prim, hit_t = hits
