@@ -3,7 +3,6 @@
 import csv
 import sys
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -457,11 +456,10 @@ def test_a_file_is_whole_or_not_there(rows, tmp_path, monkeypatch):
         write(rows, tmp_path / "no" / "rows.csv")
     (tmp_path / "rows.csv").write_text("before")
 
-    def fail(self, text, encoding):
-        self.write_bytes(text[:100].encode())
+    def fail(rows):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", fail)
+    monkeypatch.setattr(sweep_output, "to_csv", fail)
     with pytest.raises(ValueError, match="No space left on device"):
         write(rows, tmp_path / "rows.csv")
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("rows.csv", "before")]

@@ -14,7 +14,8 @@ from nptrace_base.folders import private_folder
 from rtrace.trees import tree_cache
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCES = [*ROOT.glob("*.py"), *(p for package in ("rtrace", "cachesim", "traces") for p in ROOT.glob(f"{package}/*.py"))]
+PACKAGES = ("nptrace", "nptrace_base", "rtrace", "cachesim", "traces")
+SOURCES = [ROOT / "cli.py", *(path for package in PACKAGES for path in ROOT.glob(f"{package}/**/*.py"))]
 DIN = "0 1000\n0 2000\nb 3000\n0 3000\n"
 
 
@@ -115,7 +116,6 @@ def test_importing_touches_no_folder(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-PACKAGES = ("nptrace", "nptrace_base", "rtrace", "cachesim", "traces")
 DIGESTS = """
 from nptrace_base.jit import kernel_digest, _stamp
 from rtrace.trees.tree_cache import _builder_digest
@@ -128,7 +128,7 @@ print(kernel_digest(), _builder_digest(), _stamp(ROOT / "cachesim/source.py"), _
 def digests(tmp_path_factory):
     """Return a function: a file, a text and another -> the digests of the project with that replaced."""
     folder = tmp_path_factory.mktemp("project")
-    for path in [ROOT / "cli.py", *(p for package in PACKAGES for p in ROOT.glob(f"{package}/**/*.py"))]:
+    for path in SOURCES:
         copy = folder / path.relative_to(ROOT)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(path, copy)
