@@ -167,7 +167,7 @@ class _Group:
         self._needs_ids = any(job.needs_ids for job in jobs)
         self._has_requests = prefetch.kind in ("traced", "stack")
         self._lines = source.lines(line_bytes, self._ahead)
-        # With first uses kept, what is left of the demand accesses is also exact for the demand stream alone.
+        # With first uses kept, the remaining demand accesses are also exact for the demand stream alone.
         self._filter = DirectFilter(filter_of, keep_first_use=self._has_requests) if filter_of else None
 
     def look_ahead(self, events: Any, labels: np.ndarray) -> None:

@@ -10,7 +10,7 @@ prefetch unit.
 3. Where misses that the long warm-up leaves open take up more than a quarter of the target, the warm-up is doubled; where that
    does not help, they are first touches of lines, which no sample can tell from re-use at a distance: the cell is flagged.
 4. A flagged cell, a target that would take most of the run, or too few misses to judge: the whole run is counted exactly, and
-   the reason is said.
+   the result gives the reason.
 
 The accuracy target holds for the miss rates of all caches: demand accesses without prefetching (A) and with (B), and the
 paper's metric of B. All intervals, those of ratios and totals too, hold at once with 95 %; none of a sampled run is 0 or
