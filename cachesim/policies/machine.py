@@ -1,0 +1,157 @@
+"""What a prefetch policy sees and changes: the tree, the stack of every ray in flight, the lines, and who waits for the port."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nptrace_base.jit import inlined
+
+#: What became of a demand read's line, for ``on_visit``.
+HIT, FIRST_USE, MISS = range(3)
+
+# Status of a line, one bit each.
+RESIDENT = 1  # in the cache
+IN_FLIGHT = 2  # requested from memory
+UNUSED = 4  # requested by a prefetch and not demanded since
+PUSHED_OUT = 8  # a prefetch evicted it, and nothing has requested it since
+LOST = 16  # a prefetch brought it, it was evicted unused, and nothing has requested it since
+
+#: Entries of the account of candidates: nodes that a policy wants, until the port takes them.
+OFFERED, NO_TIME, PORT_BUSY, MSHR_FULL, DEMANDED_FIRST, ISSUED = range(6)
+N_CANDIDATES = 6
+
+#: Entries of ``clock``.
+NOW, BLOCKED = range(2)
+
+
+class Tree(NamedTuple):
+    """Columns of the nodes.
+
+    Attributes
+    ----------
+    n_prims : (n_nodes,) uint32
+        Triangles in the leaf.
+    level : (n_nodes,) uint16
+        Steps from the root.
+    parent : (n_nodes,) int32
+    first_line : (n_nodes,) uint32
+        Lowest line of the node.
+    n_lines : (n_nodes,) uint8
+        Lines that a read of the node touches; 0 if visiting it reads nothing.
+    """
+
+    n_prims: np.ndarray
+    level: np.ndarray
+    parent: np.ndarray
+    first_line: np.ndarray
+    n_lines: np.ndarray
+
+
+class Machine(NamedTuple):
+    """State that all policies share; the arrays are updated in place. A slot is the place of one ray in flight.
+
+    Attributes
+    ----------
+    tree : Tree
+    stack : (n_slots, depth) int64
+        Nodes on the stack of each slot, bottom first.
+    pushed_at : (n_slots, depth) int64
+        Row of the trace whose visit pushed each of them, counted over demand rows.
+    sp : (n_slots,) int64
+        Entries on each stack.
+    status : (n_lines,) uint8
+        The bits above; empty in a replay without a clock.
+    waiting : (2, n_slots + 2) int64
+        Next and previous of each slot in the ring of those that wait for the port, oldest first, through the last column; the
+        one before it is that of a unit shared by all rays. -1: does not wait.
+    lines_asked : (n_slots + 1,) int64
+        Lines that have been requested of the node that each slot waits to request.
+    last_issue : (n_slots + 1,) int64
+        Cycle in which the port last took a request of each slot.
+    clock : (2,) int64
+        NOW, and the slot that waits for an MSHR (BLOCKED; -1: none).
+    candidates : (N_CANDIDATES,) int64
+        The account of candidates.
+    """
+
+    tree: Tree
+    stack: np.ndarray
+    pushed_at: np.ndarray
+    sp: np.ndarray
+    status: np.ndarray
+    waiting: np.ndarray
+    lines_asked: np.ndarray
+    last_issue: np.ndarray
+    clock: np.ndarray
+    candidates: np.ndarray
+
+
+def make_machine(tree: Tree, n_slots: int, n_lines: int = 0) -> Machine:
+    """Return a machine in which nothing has happened; without a clock, ``n_lines`` is 0."""
+    depth = max(int(tree.level.max()), 1)  # at most one entry per level above
+    waiting = np.full((2, n_slots + 2), -1, np.int64)
+    waiting[:, -1] = n_slots + 1
+    return Machine(
+        tree=tree,
+        stack=np.zeros((n_slots, depth), np.int64),
+        pushed_at=np.zeros((n_slots, depth), np.int64),
+        sp=np.zeros(n_slots, np.int64),
+        status=np.zeros(n_lines, np.uint8),
+        waiting=waiting,
+        lines_asked=np.zeros(n_slots + 1, np.int64),
+        last_issue=np.full(n_slots + 1, -2, np.int64),
+        clock=np.array([0, -1], np.int64),
+        candidates=np.zeros(N_CANDIDATES, np.int64),
+    )
+
+
+@inlined
+def first_waiting(machine):
+    """Return the slot that has waited longest for the port, -1 if none waits."""
+    ring = machine.sp.size + 1
+    first = machine.waiting[0, ring]
+    return first if first != ring else np.int64(-1)
+
+
+@inlined
+def stop_waiting(machine, slot):
+    """Take a slot out of the ring, if it is there."""
+    after, before = machine.waiting[0], machine.waiting[1]
+    if after[slot] < 0:
+        return
+    machine.lines_asked[slot] = 0
+    after[before[slot]] = after[slot]
+    before[after[slot]] = before[slot]
+    after[slot] = -1
+
+
+@inlined
+def offer(machine, slot, n):
+    """Note ``n`` further candidates of a slot, which waits for the port from now on."""
+    machine.candidates[OFFERED] += n
+    after, before = machine.waiting[0], machine.waiting[1]
+    ring = machine.sp.size + 1
+    if n == 0 or after[slot] >= 0:
+        return
+    after[slot], before[slot] = ring, before[ring]
+    after[before[ring]] = slot
+    before[ring] = slot
+
+
+@inlined
+def drop(machine, slot, n):
+    """Drop ``n`` candidates of a slot, for what it waited for last: an MSHR, the port, or time for more than one request."""
+    if machine.clock[BLOCKED] == slot:
+        machine.candidates[MSHR_FULL] += n
+    elif machine.last_issue[slot] == machine.clock[NOW] - 1:
+        machine.candidates[NO_TIME] += n
+    else:
+        machine.candidates[PORT_BUSY] += n
+
+
+@inlined
+def drop_demanded(machine, slot, n):
+    """Drop ``n`` candidates of a slot because its ray reads them now, or has passed them."""
+    machine.candidates[DEMANDED_FIRST] += n
+    if n > 0:
+        machine.lines_asked[slot] = 0

@@ -1,0 +1,117 @@
+"""The paper's prefetch unit (Park et al. 2013, section 3), with the knobs that the paper leaves open."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cachesim.policies.hooks import NOTHING
+from cachesim.policies.machine import Machine, drop, offer, stop_waiting
+from nptrace_base.jit import inlined
+
+
+class Stack(NamedTuple):
+    """While a leaf's triangles are tested, request the entries of the ray's stack from the pointer down, one at a time.
+
+    A push sets the pointer to the top, a pop moves it down with the top; it stays where it stopped.
+
+    Attributes
+    ----------
+    pointer, left : (n_slots,) int64
+        Entries below the pointer, and requests that the leaf in test still allows.
+    asked : (n_slots, depth) uint8
+        Whether an entry has been requested since it was pushed.
+    wanted : (n_rows,) uint8
+        Per demand row: whether the entry pushed there may be requested; empty: all may.
+    budget, per_triangle
+        Most requests at a leaf, or for each of its triangles.
+    once, empty
+        Request an entry once only; let leaves without triangles trigger.
+    levels : int
+        Deepest level that is requested.
+    """
+
+    pointer: np.ndarray
+    left: np.ndarray
+    asked: np.ndarray
+    wanted: np.ndarray
+    budget: int
+    per_triangle: bool
+    once: bool
+    empty: bool
+    levels: int
+
+    def on_start(self, machine, slot):
+        self.pointer[slot] = 0
+        self.left[slot] = 0
+
+    def on_push(self, machine, slot):
+        self.pointer[slot] = machine.sp[slot]
+        self.asked[slot, machine.sp[slot] - 1] = 0
+
+    def on_pop(self, machine, slot):
+        self.pointer[slot] = min(self.pointer[slot], machine.sp[slot])
+
+    def on_leaf(self, machine, slot, node):
+        n_prims = np.int64(machine.tree.n_prims[node])
+        if n_prims == 0 and not self.empty:
+            return
+        self.left[slot] = self.budget * n_prims if self.per_triangle else self.budget
+        offer(machine, slot, n_candidates(self, machine, slot))
+
+    def on_leaf_end(self, machine, slot):
+        stop_waiting(machine, slot)
+        if self.left[slot] > 0:
+            drop(machine, slot, n_candidates(self, machine, slot))
+            self.left[slot] = 0
+
+    def request(self, machine, slot):
+        while self.left[slot] > 0 and self.pointer[slot] > 0:
+            entry = self.pointer[slot] - 1
+            if may_request(self, machine, slot, entry):
+                return machine.stack[slot, entry]
+            self.pointer[slot] = entry
+        return np.int64(NOTHING)
+
+    def requested(self, machine, slot):
+        self.pointer[slot] -= 1
+        self.asked[slot, self.pointer[slot]] = 1
+        self.left[slot] -= 1
+
+
+@inlined
+def may_request(unit, machine, slot, entry):
+    """Return whether the unit may request an entry of the stack."""
+    node = machine.stack[slot, entry]
+    if machine.tree.n_lines[node] == 0 or machine.tree.level[node] > unit.levels:
+        return False
+    if unit.once and unit.asked[slot, entry] != 0:
+        return False
+    return unit.wanted.size == 0 or unit.wanted[machine.pushed_at[slot, entry]] != 0
+
+
+@inlined
+def n_candidates(unit, machine, slot):
+    """Return the number of requests that the unit would make now, had it the port to itself."""
+    n, entry = np.int64(0), unit.pointer[slot] - 1
+    while entry >= 0 and n < unit.left[slot]:
+        n += np.int64(may_request(unit, machine, slot, entry))
+        entry -= 1
+    return n
+
+
+UNLIMITED = np.iinfo(np.int64).max
+
+
+def make_unit(
+    machine: Machine, *, budget: int = UNLIMITED, per_triangle: bool = False, once: bool = False, empty: bool = False,
+    levels: int = 1 << 16, wanted: np.ndarray | None = None,
+) -> Stack:  # fmt: skip
+    """Return the unit of a machine."""
+    n_slots = machine.sp.size
+    return Stack(
+        pointer=np.zeros(n_slots, np.int64),
+        left=np.zeros(n_slots, np.int64),
+        asked=np.zeros(machine.stack.shape, np.uint8),
+        wanted=np.empty(0, np.uint8) if wanted is None else wanted,
+        budget=budget, per_triangle=per_triangle, once=once, empty=empty, levels=levels,
+    )  # fmt: skip
