@@ -28,18 +28,15 @@ class Calendar(NamedTuple):
         Bit s % 64 of word s // 64: slot s has an event in this cycle, modulo SPAN.
     cycles : (SPAN // 64,) uint64
         One bit per cycle that has an event.
-    due : (n_slots,) int64
-        Cycle of each slot's event.
     """
 
     slots: np.ndarray
     cycles: np.ndarray
-    due: np.ndarray
 
 
 def make_calendar(n_slots: int) -> Calendar:
     """Return an empty calendar."""
-    return Calendar(np.zeros((SPAN, -(-n_slots // 64)), np.uint64), np.zeros(_WORDS, np.uint64), np.zeros(n_slots, np.int64))
+    return Calendar(np.zeros((SPAN, -(-n_slots // 64)), np.uint64), np.zeros(_WORDS, np.uint64))
 
 
 @inlined
@@ -51,8 +48,7 @@ def lowest_bit(word):
 
 @inlined
 def enter(calendar, slot, now, cycle):
-    """Enter the event of a slot, later than ``now``."""
-    calendar.due[slot] = cycle
+    """Enter the event of a slot, later than ``now``; one beyond the calendar is shown on its last day."""
     place = min(cycle, now + SPAN - 1) & (SPAN - 1)
     calendar.slots[place, slot >> 6] |= np.uint64(1) << np.uint64(slot & 63)
     calendar.cycles[place >> 6] |= np.uint64(1) << np.uint64(place & 63)

@@ -1,4 +1,4 @@
-"""The clock, cycle by cycle where something happens: fills, then rays, then the port with demand reads before prefetches.
+"""The clock: the cycles in which something happens, one after the other.
 
 In a cycle, lines arrive first, in the order of their requests. Then come the events of the rays, by slot: a test is over, the next
 read becomes ready. Then the port takes as many requests as it has places: demand reads in the order in which they became
@@ -8,53 +8,16 @@ ready, then prefetches, of the slot that has waited longest. A demand read that 
 import numpy as np
 
 from cachesim.clock.calendar import NEVER, enter, lowest_bit, next_cycle, take_word
-from cachesim.clock.state import (
-    BOX,
-    BUS_FREE,
-    DEMAND_HITS,
-    DEMAND_JOINED,
-    DEMAND_MISSES,
-    EVICTED,
-    FILLED,
-    FREE,
-    HIT,
-    IDLE,
-    IN_FLIGHT,
-    IS_STARTED,
-    JOINED,
-    LAST_CYCLE,
-    LATE,
-    LATE_USED,
-    LEAF,
-    MISS,
-    MSHR,
-    N_LOGGED,
-    N_QUEUED,
-    N_RUNNING,
-    NEXT_RAY,
-    OLDEST,
-    POLLUTION,
-    PORT,
-    QUEUE_HEAD,
-    REDUNDANT,
-    SAVED,
-    TEST,
-    TIMELY,
-    TRIANGLE,
-    UNIT,
-    VISIT,
-    WAITED,
-    WANTED_AGAIN,
-)
+from cachesim.clock.state import BOX, FREE, HIT, IDLE, LATE, LEAF, MISS, MSHR, PORT, TEST, TRIANGLE, UNIT, VISIT
 from cachesim.fast_lru import set_of
-from cachesim.policies import hooks, machine as shared
-from cachesim.policies.machine import BLOCKED, ISSUED, NOW, PUSHED_OUT, RESIDENT, UNUSED
+from cachesim.policies import hooks
+from cachesim.policies.machine import FIRST_USE, IN_FLIGHT, LOST, PUSHED_OUT, RESIDENT, UNUSED, first_waiting, stop_waiting
+from cachesim.policies.machine import HIT as FOUND
+from cachesim.policies.machine import MISS as NOT_FOUND
 from cachesim.replacement import insert, refresh
 from nptrace_base.jit import inlined, kernel
 from traces.format import LEAF as KIND_LEAF
 from traces.format import PUSH as KIND_PUSH
-
-FLYING, LOST = shared.IN_FLIGHT, shared.LOST
 
 #: What an entry of the log is about.
 LOG_READ, LOG_BOX, LOG_TRIANGLES, LOG_PREFETCH = range(4)
@@ -63,137 +26,141 @@ LOG_READ, LOG_BOX, LOG_TRIANGLES, LOG_PREFETCH = range(4)
 @kernel(_nrt=False)
 def run(rows, unit, machine, clock, parameters):
     """Go on until all rays have ended, or until rays may be needed that are not in ``rows``; return whether all have ended."""
-    numbers, n_slots = clock.numbers, machine.sp.size
-    now = machine.clock[NOW]
+    numbers, slots, port = clock.numbers[0], clock.slots, machine.port[0]
+    n_slots = slots.size
     n_rays = rows.first_ray + rows.waits_for.size
-    if numbers[IS_STARTED] == 0:
-        numbers[IS_STARTED] = 1
-        for slot in range(n_slots):
-            clock.slots.event[slot] = FREE
-            clock.slots.since[slot] = 0
-            enter(clock.calendar, np.int64(slot), np.int64(-1), np.int64(0))
+    now = port.now
+    if numbers.is_started == 0:
+        numbers.is_started = 1
         now = np.int64(-1)
+        for slot in range(n_slots):
+            slots[slot].event = FREE
+            slots[slot].since = 0
+            _schedule(clock, slot, now, np.int64(0))
     while True:
         cycle = _next(machine, clock, parameters, now)
         if cycle == NEVER:
             break
-        if not rows.is_last and n_rays - numbers[NEXT_RAY] <= 2 * n_slots:
-            machine.clock[NOW] = now
+        if not rows.is_last and n_rays - numbers.next_ray <= 2 * n_slots:
             return False
         now = cycle
-        machine.clock[NOW] = now
+        port.now = now
         _fill(machine, clock, parameters, now)
-        for word in range(clock.calendar.slots.shape[1]):
-            bits = take_word(clock.calendar, now, word)
-            while bits:
-                slot = np.int64(64) * word + lowest_bit(bits)
-                bits &= bits - np.uint64(1)
-                if clock.calendar.due[slot] > now:
-                    enter(clock.calendar, slot, now, clock.calendar.due[slot])
-                else:
-                    _advance(rows, unit, machine, clock, parameters, slot, now)
+        if n_slots == 1:
+            if slots[0].due <= now:
+                _advance(rows, unit, machine, clock, parameters, np.int64(0), now)
+        else:
+            for word in range(clock.calendar.slots.shape[1]):
+                bits = take_word(clock.calendar, now, word)
+                while bits:
+                    slot = np.int64(64) * word + lowest_bit(bits)
+                    bits &= bits - np.uint64(1)
+                    if slots[slot].due > now:
+                        enter(clock.calendar, slot, now, slots[slot].due)
+                    else:
+                        _advance(rows, unit, machine, clock, parameters, slot, now)
         _use_port(unit, machine, clock, parameters, now)
-    last = numbers[LAST_CYCLE]
     for slot in range(n_slots):
-        clock.cycles[IDLE] += last - clock.slots.since[slot]
-        clock.slots.since[slot] = last
+        clock.cycles[IDLE] += numbers.last_cycle - slots[slot].since
+        slots[slot].since = numbers.last_cycle
     return True
+
+
+@inlined
+def _schedule(clock, slot, now, cycle):
+    """Set the cycle of a slot's next event, later than ``now``."""
+    clock.slots[slot].due = cycle
+    if clock.slots.size > 1:  # one ray needs no calendar
+        enter(clock.calendar, slot, now, cycle)
 
 
 @inlined
 def _next(machine, clock, parameters, now):
     """Return the next cycle in which something may happen."""
-    numbers = clock.numbers
-    is_stuck = numbers[IN_FLIGHT] == parameters.mshrs  # then only a fill can help who waits for an MSHR
-    if numbers[N_QUEUED] > 0 and not (is_stuck and clock.slots.seen[clock.queue[numbers[QUEUE_HEAD]]] >= 0):
+    numbers = clock.numbers[0]
+    waiter = first_waiting(machine)
+    if numbers.n_queued > 0:
+        is_stuck = numbers.in_flight == parameters.mshrs and clock.slots[clock.queue[numbers.queue_head]].seen >= 0
+        if not is_stuck:
+            return now + 1
+    elif waiter >= 0 and machine.port[0].blocked != waiter:
         return now + 1
-    waiter = shared.first_waiting(machine)
-    if waiter >= 0 and numbers[N_QUEUED] == 0 and machine.clock[BLOCKED] != waiter:
-        return now + 1
-    cycle = next_cycle(clock.calendar, now)
-    if (numbers[N_QUEUED] > 0 or waiter >= 0) and numbers[IN_FLIGHT] > 0:
-        cycle = min(cycle, max(clock.arrival[clock.flight[numbers[OLDEST]]], now + 1))
+    cycle = clock.slots[0].due if clock.slots.size == 1 else next_cycle(clock.calendar, now)
+    if (numbers.n_queued > 0 or waiter >= 0) and numbers.in_flight > 0:  # who waits for an MSHR waits for a line
+        cycle = min(cycle, max(clock.arrival[clock.flight[numbers.oldest]], now + 1))
     return cycle
 
 
 @inlined
 def _fill(machine, clock, parameters, now):
     """Install the lines that have arrived."""
-    numbers, status, lists = clock.numbers, machine.status, clock.lists
-    while numbers[IN_FLIGHT] > 0:
-        line = clock.flight[numbers[OLDEST]]
+    numbers, status, lists = clock.numbers[0], machine.status, clock.lists
+    while numbers.in_flight > 0:
+        line = clock.flight[numbers.oldest]
         if clock.arrival[line] > now:
             break
-        numbers[OLDEST] = numbers[OLDEST] + 1 if numbers[OLDEST] + 1 < clock.flight.size else 0
-        numbers[IN_FLIGHT] -= 1
+        numbers.oldest = _after(numbers.oldest, clock.flight.size)
+        numbers.in_flight -= 1
         is_prefetched = status[line] & UNUSED
-        status[line] = (status[line] & (255 - FLYING)) | RESIDENT
+        status[line] = (status[line] & (255 - IN_FLIGHT)) | RESIDENT
         victim = insert(lists, set_of(line, lists.n_sets, parameters.mask), line)
         if victim >= 0:
             left = status[victim] & (255 - RESIDENT)
             if left & UNUSED:
-                clock.lines[EVICTED] += 1
+                numbers.evicted += 1
                 left = (left & (255 - UNUSED)) | LOST
             status[victim] = left | PUSHED_OUT if is_prefetched else left
 
 
 @inlined
+def _after(place, size):
+    """Return the place after one in a ring."""
+    return place + 1 if place + 1 < size else np.int64(0)
+
+
+@inlined
 def _advance(rows, unit, machine, clock, parameters, slot, now):
     """Let the ray of a slot go on from the event that is due now."""
-    slots, numbers, tree = clock.slots, clock.numbers, machine.tree
+    ray, numbers, tree = clock.slots[slot], clock.numbers[0], machine.tree
+    ray.due = NEVER
     while True:
-        event = slots.event[slot]
-        if event == VISIT:
-            row = slots.row[slot]
-            if slots.last_kind[slot] == KIND_LEAF:
+        if ray.event == VISIT:
+            if ray.last_kind == KIND_LEAF:
                 hooks.on_leaf_end(unit, machine, slot)
-            if row == slots.end[slot]:
+            if ray.row == ray.end:
                 _end_ray(unit, machine, clock, slot, now)
-                if slots.started[slot] == now:  # a slot takes one ray a cycle
-                    enter(clock.calendar, slot, now, now + 1)
+                if ray.started == now:  # a slot takes one ray a cycle
+                    _schedule(clock, slot, now, now + 1)
                     return
                 continue
-            node = np.int64(rows.nodes[row - rows.first_row])
+            node = np.int64(rows.nodes[ray.row - rows.first_row])
             _step_stack(unit, machine, clock, parameters, slot, node)
-            slots.last_kind[slot] = rows.kinds[row - rows.first_row]
-            slots.last_node[slot] = node
-            slots.since[slot] = now
+            ray.last_kind, ray.last_node, ray.since = rows.kinds[ray.row - rows.first_row], node, now
             if tree.n_lines[node] > 0:
-                slots.seen[slot] = -1
-                slots.lines_done[slot] = 0
-                slots.data_at[slot] = 0
-                place = numbers[QUEUE_HEAD] + numbers[N_QUEUED]
+                ray.seen, ray.lines_done, ray.data_at = -1, 0, 0
+                place = numbers.queue_head + numbers.n_queued
                 clock.queue[place if place < clock.queue.size else place - clock.queue.size] = slot
-                numbers[N_QUEUED] += 1
+                numbers.n_queued += 1
                 return
-            if _after_test(machine, clock, parameters, slot, now):
+            if _after_box(machine, clock, parameters, slot, now, now):
                 return
-        elif event == LEAF:
-            n_prims = np.int64(tree.n_prims[slots.last_node[slot]])
+        elif ray.event == LEAF:
             start = now
             if parameters.n_units > 0:
-                free = clock.units_free
-                best = 0
-                for i in range(1, free.size):
-                    if free[i] < free[best]:
-                        best = i
-                start = max(now, free[best])
-                free[best] = start + n_prims * parameters.every
-            clock.cycles[UNIT] += start - now
-            slots.event[slot] = TEST
+                start = _take_unit(clock, now, np.int64(tree.n_prims[ray.last_node]) * parameters.every)
+                clock.cycles[UNIT] += start - now
+            ray.event = TEST
             if start > now:
-                enter(clock.calendar, slot, now, start)
+                _schedule(clock, slot, now, start)
                 return
-        elif event == TEST:
-            node = slots.last_node[slot]
-            took = _test_cycles(parameters, np.int64(tree.n_prims[node]))
-            clock.cycles[TRIANGLE] += took
-            _note(clock, now, took, slot, LOG_TRIANGLES, node, slots.ray[slot])
-            slots.event[slot] = VISIT
-            slots.row[slot] += 1
-            hooks.on_leaf(unit, machine, slot, node)
+        elif ray.event == TEST:
+            took = _test_cycles(parameters, np.int64(tree.n_prims[ray.last_node]))
+            _count_test(clock, slot, now, took)
+            ray.event = VISIT
+            ray.row += 1
+            hooks.on_leaf(unit, machine, slot, ray.last_node)
             if took > 0:
-                enter(clock.calendar, slot, now, now + took)
+                _schedule(clock, slot, now, now + took)
                 return
         elif not _start_ray(rows, unit, machine, clock, slot, now):
             return
@@ -202,21 +169,44 @@ def _advance(rows, unit, machine, clock, parameters, slot, now):
 @inlined
 def _test_cycles(parameters, n_prims):
     """Return how long the test of a leaf's triangles takes."""
-    return (n_prims - 1) * parameters.every + parameters.triangle if n_prims > 0 else np.int64(0)
+    return (n_prims - 1) * parameters.every + parameters.triangle
 
 
 @inlined
-def _after_test(machine, clock, parameters, slot, cycle):
-    """Set the slot's event after the box test, which ends in ``cycle``; return whether it is in the future."""
-    slots = clock.slots
-    now = machine.clock[NOW]
-    if slots.last_kind[slot] == KIND_LEAF and machine.tree.n_prims[slots.last_node[slot]] > 0:
-        slots.event[slot] = LEAF
+def _count_test(clock, slot, start, took):
+    clock.cycles[TRIANGLE] += took
+    _note(clock, start, took, slot, LOG_TRIANGLES, clock.slots[slot].last_node, clock.slots[slot].number)
+
+
+@inlined
+def _take_unit(clock, now, busy):
+    """Keep the intersection unit that is free first busy for some cycles; return when it starts."""
+    free = clock.units_free
+    best = 0
+    for i in range(1, free.size):
+        if free[i] < free[best]:
+            best = i
+    start = max(now, free[best])
+    free[best] = start + busy
+    return start
+
+
+@inlined
+def _after_box(machine, clock, parameters, slot, now, cycle):
+    """Set the slot's event after its box test, which ends in ``cycle``; return whether it is later than ``now``."""
+    ray = clock.slots[slot]
+    n_prims = np.int64(machine.tree.n_prims[ray.last_node]) if ray.last_kind == KIND_LEAF else np.int64(0)
+    if n_prims > 0 and (parameters.watches_leaves or parameters.n_units > 0):
+        ray.event = LEAF
     else:
-        slots.event[slot] = VISIT
-        slots.row[slot] += 1
+        ray.event = VISIT
+        ray.row += 1
+        if n_prims > 0:
+            took = _test_cycles(parameters, n_prims)
+            _count_test(clock, slot, cycle, took)
+            cycle += took
     if cycle > now:
-        enter(clock.calendar, slot, now, cycle)
+        _schedule(clock, slot, now, cycle)
         return True
     return False
 
@@ -224,15 +214,15 @@ def _after_test(machine, clock, parameters, slot, cycle):
 @inlined
 def _step_stack(unit, machine, clock, parameters, slot, node):
     """Push or pop what the ray pushed or popped on its way from the last node to this one."""
-    slots, sp, last = clock.slots, machine.sp, clock.slots.last_kind[slot]
-    if last < 0:
+    ray, sp = clock.slots[slot], machine.sp
+    if ray.last_kind < 0:
         return
-    if last == KIND_PUSH:
+    if ray.last_kind == KIND_PUSH:
         machine.stack[slot, sp[slot]] = ((node - 1) ^ 1) + 1
-        machine.pushed_at[slot, sp[slot]] = slots.row[slot] - 1
+        machine.pushed_at[slot, sp[slot]] = ray.row - 1
         sp[slot] += 1
         hooks.on_push(unit, machine, slot)
-    elif last == KIND_LEAF or not parameters.follows or machine.tree.parent[node] != slots.last_node[slot]:
+    elif ray.last_kind == KIND_LEAF or not parameters.follows or machine.tree.parent[node] != ray.last_node:
         height = sp[slot] - 1
         while parameters.skips and machine.stack[slot, height] != node:
             height -= 1
@@ -243,31 +233,31 @@ def _step_stack(unit, machine, clock, parameters, slot, node):
 @inlined
 def _start_ray(rows, unit, machine, clock, slot, now):
     """Give the slot its next ray; return whether it runs now."""
-    slots, numbers = clock.slots, clock.numbers
-    ray = slots.ray[slot] + 1
+    ray, numbers = clock.slots[slot], clock.numbers[0]
+    number = ray.number + 1
     n_rays = rows.first_ray + rows.waits_for.size
-    if ray == 0 or ray >= n_rays or rows.waits_for[ray - rows.first_ray] != -2:  # no shadow ray of the last
-        ray = numbers[NEXT_RAY]
-        while ray < n_rays and rows.waits_for[ray - rows.first_ray] == -2:
-            ray += 1
-        if ray >= n_rays:
-            numbers[NEXT_RAY] = ray
+    if number == 0 or number >= n_rays or rows.waits_for[number - rows.first_ray] != -2:  # no shadow ray of the last
+        number = numbers.next_ray
+        while number < n_rays and rows.waits_for[number - rows.first_ray] == -2:
+            number += 1
+        numbers.next_ray = number
+        if number >= n_rays:
             return False
-        numbers[NEXT_RAY] = ray + 1
-    slots.ray[slot] = ray
-    slots.row[slot], slots.end[slot] = rows.first[ray - rows.first_ray], rows.first[ray - rows.first_ray + 1]
-    slots.last_kind[slot] = -1
-    slots.event[slot] = VISIT
-    slots.started[slot] = now
+        numbers.next_ray += 1
+    ray.number = number
+    ray.row, ray.end = rows.first[number - rows.first_ray], rows.first[number - rows.first_ray + 1]
+    ray.last_kind = -1
+    ray.event = VISIT
+    ray.started = now
     machine.sp[slot] = 0
-    clock.cycles[IDLE] += now - slots.since[slot]
-    slots.since[slot] = now
+    clock.cycles[IDLE] += now - ray.since
+    ray.since = now
     hooks.on_start(unit, machine, slot)
-    primary = rows.waits_for[ray - rows.first_ray]
+    primary = rows.waits_for[number - rows.first_ray]
     if primary >= 0:
-        for other in range(slots.ray.size):
-            if other != slot and slots.ray[other] == primary and slots.event[other] != FREE:
-                slots.waiter[other] = slot
+        for other in range(clock.slots.size):
+            if other != slot and clock.slots[other].number == primary and clock.slots[other].event != FREE:
+                clock.slots[other].waiter = slot
                 return False
     return True
 
@@ -275,109 +265,107 @@ def _start_ray(rows, unit, machine, clock, slot, now):
 @inlined
 def _end_ray(unit, machine, clock, slot, now):
     """Note that the ray of a slot has ended; a shadow ray that waited for it starts in the next cycle."""
-    slots = clock.slots
+    ray = clock.slots[slot]
     hooks.on_end(unit, machine, slot)
-    slots.event[slot] = FREE
-    slots.since[slot] = now
-    clock.numbers[LAST_CYCLE] = now
-    waiter = slots.waiter[slot]
+    ray.event = FREE
+    ray.since = now
+    clock.numbers[0].last_cycle = now
+    waiter = ray.waiter
     if waiter >= 0:
-        slots.waiter[slot] = -1
-        clock.cycles[IDLE] += now + 1 - slots.since[waiter]
-        enter(clock.calendar, waiter, now, now + 1)
+        ray.waiter = -1
+        clock.cycles[IDLE] += now + 1 - clock.slots[waiter].since
+        _schedule(clock, waiter, now, now + 1)
 
 
 @inlined
 def _use_port(unit, machine, clock, parameters, now):
     """Let the port take what waits: demand reads, then prefetches."""
-    slots, numbers = clock.slots, clock.numbers
-    machine.clock[BLOCKED] = -1
+    numbers, port = clock.numbers[0], machine.port[0]
+    port.blocked = -1
     free = parameters.ports
-    while free > 0 and numbers[N_QUEUED] > 0:
-        slot = clock.queue[numbers[QUEUE_HEAD]]
-        node = slots.last_node[slot]
-        line = np.int64(machine.tree.first_line[node]) + slots.lines_done[slot]
-        if slots.seen[slot] < 0:
-            slots.seen[slot] = now
-            clock.cycles[PORT] += now - slots.since[slot]
+    while free > 0 and numbers.n_queued > 0:
+        slot = clock.queue[numbers.queue_head]
+        ray = clock.slots[slot]
+        line = np.int64(machine.tree.first_line[ray.last_node]) + ray.lines_done
+        if ray.seen < 0:
+            ray.seen = now
+            clock.cycles[PORT] += now - ray.since
         if not _read(unit, machine, clock, parameters, slot, line, now):
             return
-        clock.cycles[MSHR] += now - slots.seen[slot]
-        slots.seen[slot] = -1
-        slots.since[slot] = now
-        slots.lines_done[slot] += 1
+        clock.cycles[MSHR] += now - ray.seen
+        ray.seen, ray.since = -1, now
+        ray.lines_done += 1
         free -= 1
-        if slots.lines_done[slot] < machine.tree.n_lines[node]:
+        if ray.lines_done < machine.tree.n_lines[ray.last_node]:
             continue
-        numbers[QUEUE_HEAD] = numbers[QUEUE_HEAD] + 1 if numbers[QUEUE_HEAD] + 1 < clock.queue.size else 0
-        numbers[N_QUEUED] -= 1
-        data_at = slots.data_at[slot]
-        clock.cycles[slots.data_from[slot]] += data_at - now
+        numbers.queue_head = _after(numbers.queue_head, clock.queue.size)
+        numbers.n_queued -= 1
+        clock.cycles[ray.data_from] += ray.data_at - now
         clock.cycles[BOX] += parameters.box
-        slots.since[slot] = data_at + parameters.box
-        _note(clock, now, data_at - now, slot, LOG_READ, node, slots.ray[slot])
-        _note(clock, data_at, parameters.box, slot, LOG_BOX, node, slots.ray[slot])
-        _after_test(machine, clock, parameters, slot, data_at + parameters.box)
+        _note(clock, now, ray.data_at - now, slot, LOG_READ, ray.last_node, ray.number)
+        _note(clock, ray.data_at, parameters.box, slot, LOG_BOX, ray.last_node, ray.number)
+        _after_box(machine, clock, parameters, slot, now, ray.data_at + parameters.box)
     while free > 0:
-        slot = shared.first_waiting(machine)
+        slot = first_waiting(machine)
         if slot < 0:
             return
         wanted = hooks.request(unit, machine, slot)
         if wanted == hooks.NOTHING:
-            shared.stop_waiting(machine, slot)
+            stop_waiting(machine, slot)
             continue
-        line, n_lines = -2 - wanted, np.int64(1)
+        line, n_lines = hooks.as_line(wanted), np.int64(1)
         if wanted >= 0:
             line, n_lines = np.int64(machine.tree.first_line[wanted]), np.int64(machine.tree.n_lines[wanted])
         if not _prefetch(machine, clock, parameters, slot, line + machine.lines_asked[slot], now):
-            machine.clock[BLOCKED] = slot
+            port.blocked = slot
             return
         machine.last_issue[slot] = now
         free -= 1
         machine.lines_asked[slot] += 1
         if machine.lines_asked[slot] == n_lines:
             machine.lines_asked[slot] = 0
-            machine.candidates[ISSUED] += 1
+            port.issued += 1
             hooks.requested(unit, machine, slot)
 
 
 @inlined
 def _read(unit, machine, clock, parameters, slot, line, now):
     """Look up a line of a demand read; return False if it needs an MSHR and none is free."""
-    status, account = machine.status, clock.lines
+    status, numbers, ray = machine.status, clock.numbers[0], clock.slots[slot]
     state = status[line]
-    ready, cause, outcome = now + parameters.hit, HIT, shared.HIT
+    hit_at = now + parameters.hit
+    ready, cause, outcome = hit_at, HIT, FOUND
     if parameters.is_perfect:
-        account[DEMAND_HITS] += 1
-    elif state & (RESIDENT | FLYING):
-        if state & FLYING:
-            ready = max(ready, clock.arrival[line])
+        numbers.hits += 1
+    elif state & (RESIDENT | IN_FLIGHT):
+        if state & IN_FLIGHT:
+            ready = max(hit_at, clock.arrival[line])
         else:
             refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)
-        is_late, is_first_use = ready > now + parameters.hit, state & UNUSED != 0
-        if is_first_use:
+        if state & UNUSED:
             status[line] = state & (255 - UNUSED)
-            outcome = shared.FIRST_USE
-            account[SAVED] += now + parameters.miss - ready
-            account[WAITED] += ready - (now + parameters.hit)
-            account[LATE_USED if is_late else TIMELY] += 1
-        if not is_late:
-            account[DEMAND_HITS] += 1
-        elif is_first_use:
-            cause = LATE
-        else:
+            outcome = FIRST_USE
+            numbers.saved += now + parameters.miss - ready
+            numbers.waited += ready - hit_at
+            if ready > hit_at:
+                numbers.late += 1
+                cause = LATE
+            else:
+                numbers.timely += 1
+                numbers.hits += 1
+        elif ready > hit_at:
+            numbers.joined_by_demand += 1
             cause = MISS
-            account[DEMAND_JOINED] += 1
+        else:
+            numbers.hits += 1
     else:
-        if clock.numbers[IN_FLIGHT] == parameters.mshrs:
+        if numbers.in_flight == parameters.mshrs:
             return False
-        if state & PUSHED_OUT:
-            account[POLLUTION] += 1
-        account[DEMAND_MISSES] += 1
-        _ask_memory(machine, clock, parameters, line, now)
-        ready, cause, outcome = clock.arrival[line], MISS, shared.MISS
-    if ready > clock.slots.data_at[slot]:
-        clock.slots.data_at[slot], clock.slots.data_from[slot] = ready, cause
+        numbers.pollution += np.int64(state & PUSHED_OUT != 0)
+        numbers.misses += 1
+        ready, cause, outcome = _ask_memory(machine, clock, parameters, line, now), MISS, NOT_FOUND
+    if ready > ray.data_at:
+        ray.data_at, ray.data_from = ready, cause
     hooks.on_visit(unit, machine, slot, line, outcome)
     return True
 
@@ -385,43 +373,46 @@ def _read(unit, machine, clock, parameters, slot, line, now):
 @inlined
 def _prefetch(machine, clock, parameters, slot, line, now):
     """Look up a line for a prefetch; return False if it needs an MSHR and none is free."""
-    state, account = machine.status[line], clock.lines
-    if parameters.is_perfect or state & RESIDENT:
-        if not parameters.is_perfect:
-            refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)
-        account[REDUNDANT] += 1
-    elif state & FLYING:
-        account[JOINED] += 1
+    state, numbers = machine.status[line], clock.numbers[0]
+    if parameters.is_perfect:
+        numbers.redundant += 1
+    elif state & RESIDENT:
+        refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)
+        numbers.redundant += 1
+    elif state & IN_FLIGHT:
+        numbers.joined += 1
     else:
-        if clock.numbers[IN_FLIGHT] == parameters.mshrs:
+        if numbers.in_flight == parameters.mshrs:
             return False
-        account[FILLED] += 1
+        numbers.filled += 1
         _ask_memory(machine, clock, parameters, line, now)
         machine.status[line] |= UNUSED
-    _note(clock, now, np.int64(1), slot, LOG_PREFETCH, line, clock.arrival[line])
+    _note(clock, now, np.int64(1), slot, LOG_PREFETCH, line, np.int64(-1))
     return True
 
 
 @inlined
 def _ask_memory(machine, clock, parameters, line, now):
-    """Request a line from memory through an MSHR that is free."""
-    numbers = clock.numbers
-    if machine.status[line] & LOST:
-        clock.lines[WANTED_AGAIN] += 1
-    arrival = max(now + parameters.miss, numbers[BUS_FREE] + parameters.transfer)
-    numbers[BUS_FREE] = arrival
-    place = numbers[OLDEST] + numbers[IN_FLIGHT]
+    """Request a line from memory through an MSHR that is free; return when it arrives."""
+    numbers = clock.numbers[0]
+    numbers.wanted_again += np.int64(machine.status[line] & LOST != 0)
+    arrival = max(now + parameters.miss, numbers.bus_free + parameters.transfer)
+    numbers.bus_free = arrival
+    place = numbers.oldest + numbers.in_flight
     clock.flight[place if place < clock.flight.size else place - clock.flight.size] = line
-    numbers[IN_FLIGHT] += 1
+    numbers.in_flight += 1
     clock.arrival[line] = arrival
-    machine.status[line] = FLYING
+    machine.status[line] = IN_FLIGHT
+    return arrival
 
 
 @inlined
-def _note(clock, cycle, length, slot, what, node, ray):
+def _note(clock, cycle, length, slot, what, node, number):
     """Keep an event for the timeline."""
-    n = clock.numbers[N_LOGGED]
+    if clock.log.shape[0] == 0:
+        return
+    n = clock.numbers[0].n_logged
     if n < clock.log.shape[0]:
         clock.log[n, 0], clock.log[n, 1], clock.log[n, 2] = cycle, length, slot
-        clock.log[n, 3], clock.log[n, 4], clock.log[n, 5] = what, node, ray
-        clock.numbers[N_LOGGED] = n + 1
+        clock.log[n, 3], clock.log[n, 4], clock.log[n, 5] = what, node, number
+        clock.numbers[0].n_logged = n + 1

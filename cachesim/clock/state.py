@@ -13,17 +13,31 @@ from cachesim.replacement import Lists, make_lists
 BOX, TRIANGLE, HIT, MISS, LATE, PORT, MSHR, UNIT, IDLE = range(9)
 CYCLES = ("box test", "triangle test", "hit", "demand miss", "late prefetch", "port", "MSHR full", "unit busy", "idle")
 
-#: Entries of the account of lines.
-DEMAND_HITS, DEMAND_MISSES, DEMAND_JOINED, REDUNDANT, JOINED, FILLED, TIMELY, LATE_USED, SAVED, WAITED, EVICTED, WANTED_AGAIN, POLLUTION = (
-    range(13)
-)  # fmt: skip
-N_LINES_ACCOUNT = 13
-
 #: What the next event of a slot is.
 VISIT, LEAF, TEST, FREE = range(4)
 
-#: Entries of ``Progress.numbers``.
-NEXT_RAY, N_QUEUED, QUEUE_HEAD, IN_FLIGHT, OLDEST, BUS_FREE, N_RUNNING, LAST_CYCLE, IS_STARTED, N_LOGGED = range(10)
+#: A ray in flight. ``event`` is what is due in cycle ``due``; ``row`` and ``end`` are rows of the demand stream, ``number`` its ray's
+#: number, ``started`` the cycle of its start, ``waiter`` the slot whose shadow ray waits for its end. ``last_kind`` and ``last_node``: of its
+#: last visit. ``since``: up to which cycle its time is accounted. Of a read: ``seen``, the cycle in which it first was first at a free
+#: port; ``lines_done``; when its data comes (``data_at``) and what that time counts as (``data_from``).
+SLOT = np.dtype([
+    (name, np.int64)
+    for name in (
+        "event", "due", "row", "end", "number", "started", "waiter", "last_kind", "last_node", "since", "seen", "lines_done",
+        "data_at", "data_from",
+    )
+])  # fmt: skip
+
+#: The numbers of the machine, then the account of lines: what demand reads found, what prefetches found, and what became of the
+#: lines that prefetches filled.
+NUMBERS = np.dtype([
+    (name, np.int64)
+    for name in (
+        "is_started", "next_ray", "n_queued", "queue_head", "in_flight", "oldest", "bus_free", "last_cycle", "n_logged",
+        "hits", "misses", "joined_by_demand", "redundant", "joined", "filled", "timely", "late", "saved", "waited", "evicted",
+        "wanted_again", "pollution",
+    )
+])  # fmt: skip
 
 
 class Parameters(NamedTuple):
@@ -41,45 +55,22 @@ class Parameters(NamedTuple):
     is_perfect: bool  # every demand read hits
     skips: bool  # entries may leave the stack unread
     follows: bool  # after a read that pushed nothing, a child may be read next
+    watches_leaves: bool  # the policy has a hook at leaves
     mask: int  # of fast_lru.set_of
-
-
-class Slots(NamedTuple):
-    """The rays in flight: (n_slots,) int64 each.
-
-    ``event`` is what is due; ``row`` and ``end`` are rows of the demand stream, ``ray`` a ray of it, ``waiter`` the slot whose
-    shadow ray waits for this ray's end. Of the read in progress: since when it has been ready or granted, its lines done, and
-    when and why its data comes. ``seen``: cycle in which it first was first in the queue with a port free.
-    """
-
-    event: np.ndarray
-    row: np.ndarray
-    end: np.ndarray
-    ray: np.ndarray
-    last_kind: np.ndarray
-    last_node: np.ndarray
-    waiter: np.ndarray
-    started: np.ndarray
-    since: np.ndarray
-    seen: np.ndarray
-    lines_done: np.ndarray
-    data_at: np.ndarray
-    data_from: np.ndarray
 
 
 class ClockState(NamedTuple):
     """Everything that changes, updated in place."""
 
-    slots: Slots
+    slots: np.ndarray  # (n_slots,) SLOT
+    numbers: np.ndarray  # (1,) NUMBERS
     calendar: Calendar
     lists: Lists  # the cache's replacement
     arrival: np.ndarray  # (n_lines,) int64: of a line in flight
     flight: np.ndarray  # (mshrs,) int64: lines in flight, a ring, in the order of their arrival
     queue: np.ndarray  # (n_slots,) int64: slots that wait for the port with a demand read, a ring
     units_free: np.ndarray  # (n_units,) int64: cycle in which each intersection unit takes the next leaf
-    numbers: np.ndarray  # (10,) int64
     cycles: np.ndarray  # (9,) int64
-    lines: np.ndarray  # (N_LINES_ACCOUNT,) int64
     log: np.ndarray  # (n, 6) int64: events of the timeline; none are kept if it is empty
 
 
@@ -102,15 +93,14 @@ def make_state(config: CacheConfig, machine: Machine, parameters: Parameters, n_
     """Return the state before the first cycle; the timeline keeps ``n_logged`` events."""
     n_slots, n_lines = machine.sp.size, machine.status.size
     return ClockState(
-        slots=Slots(*(np.full(n_slots, -1, np.int64) for _ in Slots._fields)),
+        slots=np.full(n_slots, -1, np.int64).repeat(len(SLOT)).view(SLOT).view(np.recarray),
+        numbers=np.zeros(1, NUMBERS).view(np.recarray),
         calendar=make_calendar(n_slots),
         lists=make_lists(config, n_lines),
         arrival=np.zeros(n_lines, np.int64),
         flight=np.zeros(parameters.mshrs, np.int64),
         queue=np.zeros(n_slots, np.int64),
         units_free=np.zeros(parameters.n_units, np.int64),
-        numbers=np.zeros(10, np.int64),
         cycles=np.zeros(len(CYCLES), np.int64),
-        lines=np.zeros(N_LINES_ACCOUNT, np.int64),
         log=np.zeros((n_logged, 6), np.int64),
     )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numba.extending import overload
 
-from nptrace_base.jit import IS_PLAIN
+from nptrace_base.jit import IS_PLAIN, inlined
 
 #: Answer of ``request``: nothing.
 NOTHING = -1
@@ -19,8 +19,9 @@ NOTHING = -1
 _OPTIONS = {"_nrt": False, "forceinline": True, "error_model": "numpy"}
 
 
+@inlined
 def as_line(line):
-    """Return the request of a line, not of a node. ``line_of`` undoes it."""
+    """Return the request of a line, not of a node; the line, of such a request."""
     return -2 - line
 
 

@@ -16,12 +16,10 @@ UNUSED = 4  # requested by a prefetch and not demanded since
 PUSHED_OUT = 8  # a prefetch evicted it, and nothing has requested it since
 LOST = 16  # a prefetch brought it, it was evicted unused, and nothing has requested it since
 
-#: Entries of the account of candidates: nodes that a policy wants, until the port takes them.
-OFFERED, NO_TIME, PORT_BUSY, MSHR_FULL, DEMANDED_FIRST, ISSUED = range(6)
-N_CANDIDATES = 6
-
-#: Entries of ``clock``.
-NOW, BLOCKED = range(2)
+#: The port, and the account of candidates: nodes that a policy wants, until the port takes them. int64 each.
+PORT = np.dtype(
+    [(name, np.int64) for name in ("now", "blocked", "offered", "no_time", "port_busy", "mshr_full", "demanded_first", "issued")]
+)
 
 
 class Tree(NamedTuple):
@@ -68,10 +66,10 @@ class Machine(NamedTuple):
         Lines that have been requested of the node that each slot waits to request.
     last_issue : (n_slots + 1,) int64
         Cycle in which the port last took a request of each slot.
-    clock : (2,) int64
-        NOW, and the slot that waits for an MSHR (BLOCKED; -1: none).
-    candidates : (N_CANDIDATES,) int64
-        The account of candidates.
+    port : (1,) PORT
+        ``now``, the cycle; ``blocked``, the slot whose prefetch waits for an MSHR (-1: none); and the account of candidates:
+        ``offered`` by the policy; ``issued`` to the port; or dropped, for want of time, of the port or of an MSHR, or because the
+        ray came first.
     """
 
     tree: Tree
@@ -82,8 +80,7 @@ class Machine(NamedTuple):
     waiting: np.ndarray
     lines_asked: np.ndarray
     last_issue: np.ndarray
-    clock: np.ndarray
-    candidates: np.ndarray
+    port: np.ndarray
 
 
 def make_machine(tree: Tree, n_slots: int, n_lines: int = 0) -> Machine:
@@ -91,6 +88,8 @@ def make_machine(tree: Tree, n_slots: int, n_lines: int = 0) -> Machine:
     depth = max(int(tree.level.max()), 1)  # at most one entry per level above
     waiting = np.full((2, n_slots + 2), -1, np.int64)
     waiting[:, -1] = n_slots + 1
+    port = np.zeros(1, PORT).view(np.recarray)
+    port[0].blocked = -1
     return Machine(
         tree=tree,
         stack=np.zeros((n_slots, depth), np.int64),
@@ -100,8 +99,7 @@ def make_machine(tree: Tree, n_slots: int, n_lines: int = 0) -> Machine:
         waiting=waiting,
         lines_asked=np.zeros(n_slots + 1, np.int64),
         last_issue=np.full(n_slots + 1, -2, np.int64),
-        clock=np.array([0, -1], np.int64),
-        candidates=np.zeros(N_CANDIDATES, np.int64),
+        port=port,
     )
 
 
@@ -128,7 +126,7 @@ def stop_waiting(machine, slot):
 @inlined
 def offer(machine, slot, n):
     """Note ``n`` further candidates of a slot, which waits for the port from now on."""
-    machine.candidates[OFFERED] += n
+    machine.port[0].offered += n
     after, before = machine.waiting[0], machine.waiting[1]
     ring = machine.sp.size + 1
     if n == 0 or after[slot] >= 0:
@@ -141,17 +139,18 @@ def offer(machine, slot, n):
 @inlined
 def drop(machine, slot, n):
     """Drop ``n`` candidates of a slot, for what it waited for last: an MSHR, the port, or time for more than one request."""
-    if machine.clock[BLOCKED] == slot:
-        machine.candidates[MSHR_FULL] += n
-    elif machine.last_issue[slot] == machine.clock[NOW] - 1:
-        machine.candidates[NO_TIME] += n
+    port = machine.port[0]
+    if port.blocked == slot:
+        port.mshr_full += n
+    elif machine.last_issue[slot] == port.now - 1:
+        port.no_time += n
     else:
-        machine.candidates[PORT_BUSY] += n
+        port.port_busy += n
 
 
 @inlined
 def drop_demanded(machine, slot, n):
     """Drop ``n`` candidates of a slot because its ray reads them now, or has passed them."""
-    machine.candidates[DEMANDED_FIRST] += n
+    machine.port[0].demanded_first += n
     if n > 0:
         machine.lines_asked[slot] = 0

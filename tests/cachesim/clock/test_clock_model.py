@@ -16,11 +16,15 @@ from tests.reference.clock import NoPolicy, SlowClock, SlowStack, visits_of
 from tests.reference.traces import make_trace
 from typing import NamedTuple
 
-LINES = (
-    "hits", "misses", "joined by demand", "redundant", "joined", "filled", "timely", "late", "saved", "waited", "evicted",
-    "wanted again", "pollution",
-)  # fmt: skip
-CANDIDATES = ("offered", "no time", "port busy", "MSHR full", "demanded first", "issued")
+LINES = {
+    "hits": "hits", "misses": "misses", "joined_by_demand": "joined by demand", "redundant": "redundant", "joined": "joined",
+    "filled": "filled", "timely": "timely", "late": "late", "saved": "saved", "waited": "waited", "evicted": "evicted",
+    "wanted_again": "wanted again", "pollution": "pollution",
+}  # fmt: skip
+CANDIDATES = {
+    "offered": "offered", "no_time": "no time", "port_busy": "port busy", "mshr_full": "MSHR full",
+    "demanded_first": "demanded first", "issued": "issued",
+}  # fmt: skip
 
 
 class Nothing(NamedTuple):
@@ -69,13 +73,13 @@ class Case:
         return Rows(self.nodes, self.kinds, np.array(self.first), np.array(self.waits_for[:n]), 0, 0, n == len(self.rays))
 
 
-def both(case, numbers, config, n_slots, fast_policy, slow_policy, *, is_perfect=False, steps=()):
+def both(case, numbers, config, n_slots, fast_policy, slow_policy, *, is_perfect=False, steps=(), watches_leaves=True):
     """Return the accounts of the clock and of the model."""
     numbers = dict(numbers)
     numbers["miss"] = numbers["hit"] + numbers.pop("extra")
     machine = make_machine(case.tree, n_slots, case.n_lines)
     is_kd = case.trace.kind == "kdtree"
-    parameters = Parameters(**numbers, is_perfect=is_perfect, skips=is_kd, follows=is_kd, mask=set_mask(config.n_sets))
+    parameters = Parameters(**numbers, is_perfect=is_perfect, skips=is_kd, follows=is_kd, watches_leaves=watches_leaves, mask=set_mask(config.n_sets))
     state = make_state(config, machine, parameters)
     unit = fast_policy(machine)
     for n in steps:
@@ -85,16 +89,17 @@ def both(case, numbers, config, n_slots, fast_policy, slow_policy, *, is_perfect
         numbers, config.n_sets, config.ways, n_slots, case.rays, case.waits_for, slow_policy,
         fifo=config.policy == "fifo", is_perfect=is_perfect,
     ).run()  # fmt: skip
+    numbers_of = state.numbers[0]
     unused = int(np.count_nonzero(machine.status & shared.UNUSED))
     fast = {
-        "total": int(state.numbers[7]), "unused": unused,
+        "total": int(numbers_of["last_cycle"]), "unused": unused,
         **dict(zip(CYCLES, state.cycles.tolist(), strict=True)),
-        **dict(zip(LINES, state.lines.tolist(), strict=True)),
-        **{f"candidates: {name}": n for name, n in zip(CANDIDATES, machine.candidates.tolist(), strict=True)},
+        **{name: int(numbers_of[field]) for field, name in LINES.items()},
+        **{f"candidates: {name}": int(machine.port[0][field]) for field, name in CANDIDATES.items()},
     }  # fmt: skip
     model = {"total": slow.last_cycle, "unused": len(slow.unused)}
     model |= {name: slow.cycles[name] for name in CYCLES}
-    model |= {name: slow.lines[name] for name in LINES} | {f"candidates: {name}": slow.candidates[name] for name in CANDIDATES}
+    model |= {name: slow.lines[name] for name in LINES.values()} | {f"candidates: {name}": slow.candidates[name] for name in CANDIDATES.values()}
     return fast, model
 
 
@@ -111,10 +116,11 @@ def config_of(parts):
     return CacheConfig(n_sets * ways * 32, ways, 32, policy)
 
 
-@given(cases, machines, configs, st.integers(1, 8), st.lists(st.integers(1, 12), max_size=2), st.booleans())
-def test_without_prefetches_every_number_is_that_of_the_model(case, numbers, config, n_slots, steps, is_perfect):
+@given(cases, machines, configs, st.integers(1, 8), st.lists(st.integers(1, 12), max_size=2), st.booleans(), st.booleans())
+def test_without_prefetches_every_number_is_that_of_the_model(case, numbers, config, n_slots, steps, is_perfect, watches):
     fast, model = both(
-        case, numbers, config_of(config), n_slots, lambda machine: Nothing(), NoPolicy(), is_perfect=is_perfect, steps=sorted(steps)
+        case, numbers, config_of(config), n_slots, lambda machine: Nothing(), NoPolicy(),
+        is_perfect=is_perfect, steps=sorted(steps), watches_leaves=watches,
     )
     assert fast == model
     assert sum(fast[name] for name in CYCLES) == n_slots * fast["total"]
