@@ -1,0 +1,109 @@
+"""Prefetch policies, a file each: a name, options, and a unit whose hooks the replay and the clock call (``hooks``).
+
+A file that defines ``FORM``, ``HELP`` and ``POLICY`` is a policy; nothing else has to know of it. Another package adds one with an
+entry point of the group ``nptrace.policies`` that names its ``Policy``.
+"""
+
+import ast
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from nptrace_base.errors import NptraceError
+
+GROUP = "nptrace.policies"
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a unit may need to know beyond its machine.
+
+    Attributes
+    ----------
+    node_bytes, line_bytes : int
+    n_rows : int
+        Demand rows of the trace.
+    """
+
+    node_bytes: int
+    line_bytes: int
+    n_rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """A prefetch policy.
+
+    Attributes
+    ----------
+    name : str
+        What ``--prefetch`` calls it.
+    form : str
+        Its name with all its options.
+    parse : callable
+        Options as written, without the name, -> keyword arguments of ``make_unit``; raises an NptraceError.
+    make_unit : callable, optional
+        ``make_unit(machine, facts, **options)``: a NamedTuple with hooks. None: the trace or the cache makes its requests.
+    scout : callable, optional
+        ``scout(machine, facts, **options)``: the unit of a pass before, which ``make_unit`` gets as ``scouted``.
+    needs_clock : bool
+        Whether its requests depend on time or on hits, so that only the clock can replay it.
+    watches_leaves : bool
+        Whether it has a hook at leaves.
+    is_perfect : bool
+        Every demand read hits: no policy, but the bound of all.
+    """
+
+    name: str
+    form: str
+    parse: Callable[[Sequence[str]], dict[str, Any]]
+    make_unit: Callable[..., Any] | None = None
+    scout: Callable[..., Any] | None = None
+    needs_clock: bool = False
+    watches_leaves: bool = False
+    is_perfect: bool = False
+
+
+def no_options(options: Sequence[str]) -> dict[str, Any]:
+    """Return the options of a policy that has none."""
+    if options:
+        raise NptraceError(f"it has no option {options[0]!r}")
+    return {}
+
+
+def whole(text: str, name: str, low: int, high: int) -> int:
+    """Return the whole number of an option such as ``distance=2`` or ``2``."""
+    digits = text.removeprefix(f"{name}=")
+    if not digits.isascii() or not digits.isdigit() or not low <= int(digits) <= high:
+        raise NptraceError(f"{name} is a whole number from {low} to {high}, not {digits!r}")
+    return int(digits)
+
+
+@cache
+def policies() -> dict[str, Policy]:
+    """Return all policies by name: the files of this folder, then those of other packages."""
+    import importlib.metadata
+
+    found = [import_module(f"{__name__}.{name}").POLICY for name in described()]
+    found += [entry.load() for entry in importlib.metadata.entry_points(group=GROUP)]
+    return {policy.name: policy for policy in found}
+
+
+@cache
+def described() -> dict[str, tuple[str, str]]:
+    """Return form and help of the policies of this folder, by module, without importing them: ``--help`` is in a hurry."""
+    found = {}
+    for path in sorted(Path(__file__).parent.glob("[a-z]*.py")):
+        values = {
+            target.id: node.value.value
+            for node in ast.parse(path.read_text(encoding="utf-8")).body
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
+            for target in node.targets
+            if isinstance(target, ast.Name)
+        }
+        if "FORM" in values:
+            found[path.stem] = values["FORM"], values["HELP"]
+    return found

@@ -149,8 +149,6 @@ def drop(machine, slot, n):
 
 
 @inlined
-def drop_demanded(machine, slot, n):
-    """Drop ``n`` candidates of a slot because its ray reads them now, or has passed them."""
+def drop_demanded(machine, n):
+    """Drop ``n`` candidates because their ray reads them now, or has passed them."""
     machine.port[0].demanded_first += n
-    if n > 0:
-        machine.lines_asked[slot] = 0

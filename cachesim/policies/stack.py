@@ -1,12 +1,21 @@
 """The paper's prefetch unit (Park et al. 2013, section 3), with the knobs that the paper leaves open."""
 
-from typing import NamedTuple
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from cachesim.policies import Facts, Policy, whole
 from cachesim.policies.hooks import NOTHING
 from cachesim.policies.machine import Machine, drop, offer, stop_waiting
+from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined
+
+FORM = "stack[:budget=K|tris*K|unlimited][:once][:empty][:level=L][:live]"
+HELP = "the paper's unit: at a leaf the stack from the top down; live: only entries that the ray will read"
+
+UNLIMITED = np.iinfo(np.int64).max
 
 
 class Stack(NamedTuple):
@@ -99,12 +108,56 @@ def n_candidates(unit, machine, slot):
     return n
 
 
-UNLIMITED = np.iinfo(np.int64).max
+class Reads(NamedTuple):
+    """A unit that requests nothing and notes which entries are read when they leave the stack.
+
+    Attributes
+    ----------
+    used : (n_rows,) uint8
+        Per demand row: the entry pushed there has been read.
+    """
+
+    used: np.ndarray
+
+    def on_pop(self, machine, slot):
+        self.used[machine.pushed_at[slot, machine.sp[slot]]] = 1
+
+
+def parse_unit(options: Sequence[str]) -> dict[str, Any]:
+    """Return the options of the unit."""
+    values: dict[str, Any] = {}
+    for option in options:
+        budget = re.fullmatch(r"(?:budget=)?(unlimited|(tris\*)?(\d{1,9}))", option)
+        if budget:
+            new = {"budget": UNLIMITED if budget[1] == "unlimited" else int(budget[3]), "per_triangle": budget[2] is not None}
+        elif option.startswith("level="):
+            new = {"levels": whole(option, "level", 0, 1 << 16)}
+        elif option in ("once", "empty"):
+            new = {option: True}
+        else:
+            raise NptraceError(f"{option!r} is not one of its options")
+        if values.keys() & new.keys():
+            raise NptraceError(f"{option!r} contradicts or repeats an option before it")
+        values |= new
+    return values
+
+
+def parse(options: Sequence[str]) -> dict[str, Any]:
+    """Return the options of the policy."""
+    is_live = "live" in options
+    if list(options).count("live") > 1:
+        raise NptraceError("'live' contradicts or repeats an option before it")
+    return parse_unit([option for option in options if option != "live"]) | ({"live": True} if is_live else {})
+
+
+def scout(machine: Machine, facts: Facts, *, live: bool = False, **options: Any) -> Reads | None:
+    """Return the unit of a first pass, which finds the entries that are read; None if it is not asked for."""
+    return Reads(np.zeros(facts.n_rows, np.uint8)) if live else None
 
 
 def make_unit(
-    machine: Machine, *, budget: int = UNLIMITED, per_triangle: bool = False, once: bool = False, empty: bool = False,
-    levels: int = 1 << 16, wanted: np.ndarray | None = None,
+    machine: Machine, facts: Facts, *, budget: int = UNLIMITED, per_triangle: bool = False, once: bool = False,
+    empty: bool = False, levels: int = 1 << 16, live: bool = False, scouted: Reads | None = None,
 ) -> Stack:  # fmt: skip
     """Return the unit of a machine."""
     n_slots = machine.sp.size
@@ -112,6 +165,9 @@ def make_unit(
         pointer=np.zeros(n_slots, np.int64),
         left=np.zeros(n_slots, np.int64),
         asked=np.zeros(machine.stack.shape, np.uint8),
-        wanted=np.empty(0, np.uint8) if wanted is None else wanted,
+        wanted=np.empty(0, np.uint8) if scouted is None else scouted.used,
         budget=budget, per_triangle=per_triangle, once=once, empty=empty, levels=levels,
     )  # fmt: skip
+
+
+POLICY = Policy("stack", FORM, parse, make_unit, scout, watches_leaves=True)
