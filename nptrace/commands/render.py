@@ -48,9 +48,7 @@ from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes
     show_default=True,
     help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
 )
-@bvh_nodes_option(
-    "Bytes of a BVH node: 32, its own box; 64, both children's boxes, read once per inner node. Give it twice for a run of each."
-)
+@bvh_nodes_option("Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.")
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
 @click.option(
     "--name", "run_names", multiple=True, metavar="NAME",
@@ -62,14 +60,13 @@ from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def render(
     names: tuple[str, ...], accel: tuple[str, ...], size: str, camera: str | None, light: str | None, order: str, batch: int,
-    seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...], overwrite: bool, threads: int,
-    strict: bool, offline: bool, as_json: bool,
+    seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
+    overwrite: bool, threads: int, strict: bool, offline: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
-    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>: kdtree, bvh, or bvh64 for
-    the BVH with nodes of 64 bytes. The same command
-    replaces its run; another run of that name is kept unless you give --overwrite.
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>, and <scene>-bvh64 if the BVH
+    has nodes of 64 bytes. The same command replaces its run; another run of that name is kept unless you give --overwrite.
 
     \b
     nptrace render bunny
