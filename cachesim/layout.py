@@ -55,8 +55,8 @@ def parse_layout(text: str) -> Layout:
     return layout
 
 
-def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout | str) -> np.ndarray:
-    """Return the byte address of every node, (n_nodes,) int64.
+def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout | str, reads_leaves: bool = True) -> np.ndarray:
+    """Return the byte address of every node, (n_nodes,) int64; -1 for a leaf where leaves are no nodes in memory.
 
     Parameters
     ----------
@@ -65,9 +65,17 @@ def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout |
         have larger numbers than their parent.
     node_bytes : int
     layout : Layout or str
+    reads_leaves : bool
+        As the node format has it. Without them the inner nodes alone are placed, by the same rules.
     """
     if isinstance(layout, str):
         layout = parse_layout(layout)
+    if not reads_leaves:
+        parents = _parents(nodes)
+        addresses = np.full(parents.size, -1, np.int64)
+        inner = parents[1::2]  # by the number of their pair of children, which is how they are stored
+        addresses[inner] = layout.base + node_bytes * _inner_slots(nodes, parents, node_bytes, layout)
+        return addresses
     if layout.name == "stored":
         return stored_addresses(nodes["level"].size, node_bytes, layout)
     if layout.name == "bfs":
@@ -103,27 +111,47 @@ def _positions(order: np.ndarray) -> np.ndarray:
     return positions
 
 
+def _inner_slots(nodes: Mapping[str, np.ndarray], parents: np.ndarray, node_bytes: int, layout: Layout) -> np.ndarray:
+    """Return the slot of each inner node where they alone are in memory, in the order of their pairs of children."""
+    inner = parents[1::2]
+    if layout.name == "stored" or not inner.size:
+        return np.arange(inner.size)
+    if layout.name == "bfs":
+        return _positions(np.argsort(nodes["level"][inner], kind="stable"))
+    if layout.name == "dfs":
+        slots = np.empty(parents.size, np.int64)
+        dfs_slots(first_children(parents), np.empty(slots.size + 1, np.int64), slots)
+        return _positions(np.argsort(slots[inner]))
+    return _positions(_subtree_order((inner + 1) // 2 - 1, node_bytes, layout, f"{node_bytes}-byte nodes"))
+
+
+def _subtree_order(parents: np.ndarray, unit_bytes: int, layout: Layout, what: str) -> np.ndarray:
+    """Return the order in which ``veb`` or ``treelet`` places units of one size (``what`` names them)."""
+    first, next_ = pair_children(parents)
+    order = np.empty(parents.size, np.int64)
+    if layout.name == "veb":
+        stack, walk = np.empty((parents.size + 1, 2), np.int64), np.empty(parents.size, np.int64)
+        veb_order(first, next_, heights(parents), stack, walk, order)
+        return order
+    per_block = layout.block_bytes // unit_bytes
+    if per_block * unit_bytes != layout.block_bytes:
+        raise NptraceError(
+            f"a treelet of {layout.block_bytes} B is not a whole number of {what}; "
+            f"write e.g. treelet:{max(per_block, 1) * unit_bytes}"
+        )
+    per_block = min(per_block, parents.size)  # a larger block would hold the whole tree too
+    treelet_order(first, next_, per_block, np.empty(parents.size, np.int64), np.empty(per_block, np.int64), order)
+    return order
+
+
 def _pair_slots(parents: np.ndarray, node_bytes: int, layout: Layout) -> np.ndarray:
     """Return the slot of each node where whole pairs are ordered (pair 0 is the root alone, pair k nodes 2k - 1 and 2k)."""
     n_pairs = (parents.size + 1) // 2
     pair_parents = np.full(n_pairs, -1, np.int64)
     pair_parents[1:] = (parents[1::2] + 1) // 2
-    first, next_ = pair_children(pair_parents)
-    order = np.empty(n_pairs, np.int64)
+    first_slots = 2 * _positions(_subtree_order(pair_parents, 2 * node_bytes, layout, f"pairs of {node_bytes}-byte nodes"))
     if layout.name == "veb":
-        stack, walk = np.empty((n_pairs + 1, 2), np.int64), np.empty(n_pairs, np.int64)
-        veb_order(first, next_, heights(pair_parents), stack, walk, order)
-        first_slots = 2 * _positions(order) - 1  # the root has no sibling: its pair is one slot
-    else:
-        per_block = layout.block_bytes // (2 * node_bytes)
-        if per_block * 2 * node_bytes != layout.block_bytes:
-            raise NptraceError(
-                f"a treelet of {layout.block_bytes} B is not a whole number of pairs of {node_bytes}-byte nodes; "
-                f"write e.g. treelet:{max(per_block, 1) * 2 * node_bytes}"
-            )
-        per_block = min(per_block, n_pairs)  # a larger block would hold the whole tree too
-        treelet_order(first, next_, per_block, np.empty(n_pairs, np.int64), np.empty(per_block, np.int64), order)
-        first_slots = 2 * _positions(order)
+        first_slots -= 1  # the root has no sibling: its pair is one slot
     slots = np.empty(parents.size, np.int64)
     slots[0] = 0
     slots[1::2] = first_slots[1:]

@@ -33,9 +33,14 @@ class Lines(Protocol):
 
 
 class NodeLines:
-    """The lines of every node, looked up by its number. A layout packs the nodes, so the lines are their own dense ids."""
+    """The lines of every node, looked up by its number. A layout packs the nodes, so the lines are their own dense ids.
+
+    A leaf that is no node in memory has the address -1, and no event names it.
+    """
 
     def __init__(self, address: np.ndarray, node_bytes: int, line_bytes: int, ahead: int) -> None:
+        if address.min() < 0:
+            address = np.where(address < 0, address.max(), address)
         shift = line_bytes.bit_length() - 1  # lines are powers of two, and a division took ten times as long
         first, last = address >> shift, (address + (node_bytes - 1)) >> shift
         lowest = int(first.min())  # numbering from it turns the sets round and changes no count

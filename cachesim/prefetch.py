@@ -3,7 +3,8 @@
 A run records every push, so the node stack can be rebuilt from the demand rows alone, and any policy of the prefetch unit
 replayed without rendering again. The unit has the stack's top ``sp`` and a pointer ``pp``. Push: pp = sp. Pop: pp =
 min(pp, sp). At a non-empty leaf, before its triangles are tested: while there is budget and pp > 0, pp -= 1 and request
-stack[pp]. The pointer stays where it stopped. A ray starts with an empty stack.
+stack[pp]. The pointer stays where it stopped. A ray starts with an empty stack. Where leaves are no nodes in memory
+(``traces.node_formats``), entering one is no read, and the pointer passes a leaf on the stack without a request.
 """
 
 import re
@@ -18,6 +19,8 @@ from nptrace_base.jit import kernel
 from traces.format import LEAF as KIND_LEAF
 from traces.format import PREFETCH as KIND_PREFETCH
 from traces.format import PUSH as KIND_PUSH
+from traces.format import READ as KIND_READ
+from traces.node_formats import CHILD_BOXES, NO_BOX, OWN_BOX, NodeFormat, stored_slots
 
 #: A request of the prefetch unit as a label: what DineroIV calls type b.
 REQUEST = PREFETCH | MISC
@@ -102,24 +105,27 @@ class StackReplay:
     ----------
     policy : Prefetch
         Of kind ``stack``.
-    is_kd : bool
-        In a kd-tree the row after a read (kind 0) is the child followed; in a BVH it is popped.
-    n_prims, level : (n_nodes,) array
+    node_format : NodeFormat
+        Whether the row after a read (kind 0) is the child followed or popped, and which nodes are in memory.
+    n_prims, level, parent : (n_nodes,) array
         Columns of ``nodes.parquet``.
     where : str
         What the rows are read from, for errors.
     """
 
     def __init__(
-        self, policy: Prefetch, is_kd: bool, n_prims: np.ndarray, level: np.ndarray, where: str = "accesses.parquet"
-    ) -> None:
+        self, policy: Prefetch, node_format: NodeFormat, n_prims: np.ndarray, level: np.ndarray, parent: np.ndarray,
+        where: str = "accesses.parquet",
+    ) -> None:  # fmt: skip
         self._where, self._n_rows = where, 0
         self._policy = policy
-        self._is_kd = is_kd
+        self._boxes = node_format.boxes
+        self._parent = np.ascontiguousarray(parent, np.int32)
+        self._in_memory = stored_slots(parent, node_format) >= 0
         self._n_prims = np.ascontiguousarray(n_prims, np.uint32)
         self._stack = np.zeros(max(int(level.max()), 1), np.int64)  # at most one entry per level above
         self._asked = np.zeros(self._stack.size, np.uint8)
-        self._state = np.array([0, 0, -1], np.int64)  # sp, pp, kind of the last demand row (-1: none yet)
+        self._state = np.array([0, 0, -1, -1], np.int64)  # sp, pp, kind and node of the last demand row (-1: none yet)
 
     def events(self, nodes: np.ndarray, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (nodes, labels) of the demand rows and of the requests that this policy makes; traced requests are dropped.
@@ -134,7 +140,8 @@ class StackReplay:
             out = np.empty(nodes.size - start + nodes.size // 4 + self._stack.size + 1, np.uint32)
             labels = np.empty(out.size, np.uint8)
             start, n, is_bad = rebuild(
-                nodes, kinds, start, self._n_prims, self._is_kd, policy.budget, policy.per_triangle, policy.once,
+                nodes, kinds, start, self._n_prims, self._parent, self._in_memory, self._boxes,
+                policy.budget, policy.per_triangle, policy.once,
                 policy.empty, self._stack, self._asked, self._state, out, labels,
             )  # fmt: skip
             if is_bad:
@@ -151,14 +158,14 @@ class StackReplay:
 
 @kernel
 def rebuild(
-    nodes, kinds, start, n_prims, is_kd, budget, per_triangle, once, empty, stack, asked, state, out, labels
+    nodes, kinds, start, n_prims, parent, in_memory, boxes, budget, per_triangle, once, empty, stack, asked, state, out, labels
 ):  # fmt: skip
     """Rebuild the stack over rows ``start`` on and write the events, until the rows or the room for events end.
 
-    ``state`` is sp, pp and the kind of the last demand row. Returns (the first row not done, events written, whether that
-    row contradicts the rows before it).
+    ``state`` is sp, pp, the kind and the node of the last demand row. Returns (the first row not done, events written,
+    whether that row contradicts the rows before it).
     """
-    sp, pp, last_kind = state[0], state[1], state[2]
+    sp, pp, last_kind, last_node = state[0], state[1], state[2], state[3]
     n = 0
     is_bad = False
     row = start
@@ -181,35 +188,38 @@ def rebuild(
             asked[sp] = 0
             sp += 1
             pp = sp
-        elif last_kind == KIND_LEAF or not is_kd:
-            # A kd-tree skips entries that begin beyond the nearest hit: popped, but not read. A BVH reads all it pops.
+        elif last_kind == KIND_READ and (boxes == NO_BOX or (boxes == CHILD_BOXES and parent[node] == last_node)):
+            pass  # the child followed
+        elif last_kind < 0:
+            is_bad = True
+            break
+        else:
+            # Entries that begin beyond the nearest hit are popped, but not read; where a node has its own box, all are read.
             while sp > 0 and stack[sp - 1] != node:
-                sp = sp - 1 if is_kd else np.int64(0)
+                sp = np.int64(0) if boxes == OWN_BOX else sp - 1
             if sp == 0:
                 is_bad = True
                 break
             sp -= 1
             pp = min(pp, sp)
-        elif last_kind < 0:
-            is_bad = True
-            break
-        out[n] = node
-        labels[n] = READ
-        n += 1
+        if in_memory[node]:
+            out[n] = node
+            labels[n] = READ
+            n += 1
         if kind == KIND_LEAF and (empty or n_prims[node] > 0):
             left = budget
             if per_triangle:
                 left = budget * np.int64(n_prims[node])
             while left > 0 and pp > 0:
                 pp -= 1
-                if once and asked[pp]:
+                if (once and asked[pp]) or not in_memory[stack[pp]]:
                     continue
                 asked[pp] = 1
                 out[n] = stack[pp]
                 labels[n] = REQUEST
                 n += 1
                 left -= 1
-        last_kind = np.int64(kind)
+        last_kind, last_node = np.int64(kind), node
         row += 1
-    state[0], state[1], state[2] = sp, pp, last_kind
+    state[0], state[1], state[2], state[3] = sp, pp, last_kind, last_node
     return row, n, is_bad

@@ -8,8 +8,8 @@ import numpy as np
 
 from cachesim.access import PREFETCH
 from cachesim.layout import Layout, addresses, parse_layout, stored_addresses
-from cachesim.lines import AddressLines, Lines, NodeLines
-from cachesim.prefetch import KIND_PREFETCH, REQUEST, Prefetch, StackReplay
+from cachesim.lines import AddressLines, Lines, NodeLines, read_only
+from cachesim.prefetch import KIND_LEAF, KIND_PREFETCH, REQUEST, Prefetch, StackReplay
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 from traces.din import DinTrace
@@ -62,24 +62,31 @@ class RunSource:
         self.name = run.name + (" (stand-in)" if run.footer.scene.stand_in else "")
         self.n_rays: int | None = run.footer.n_rays
         self.n_events: int | None = run.n_accesses
-        self._is_kd, self._node_bytes = run.footer.tree.kind == "kdtree", run.footer.tree.node_bytes
-        if self.layout.name == "stored":
+        self._format, self._node_bytes = run.footer.tree.node_format, run.footer.tree.node_bytes
+        reads_leaves = self._format.reads_leaves
+        if self.layout.name == "stored" and reads_leaves:
             self._addresses = stored_addresses(run.n_nodes, self._node_bytes, self.layout)
         else:
-            self._addresses = addresses(run.columns("nodes", ["level", "parent"]), self._node_bytes, self.layout)
+            nodes = run.columns("nodes", ["level", "parent"])
+            self._addresses = addresses(nodes, self._node_bytes, self.layout, reads_leaves)
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield (node, access type) batches; the reader has checked that the nodes are the tree's."""
+        """Yield (node, access type) batches of reads and requests; the reader has checked that the nodes are the tree's."""
         unit = None
         if prefetch.kind == "stack":
             where = str(self.run.path / "accesses.parquet")
-            unit = StackReplay(prefetch, self._is_kd, **self.run.columns("nodes", ["n_prims", "level"]), where=where)
+            columns = self.run.columns("nodes", ["n_prims", "level", "parent"])
+            unit = StackReplay(prefetch, self._format, **columns, where=where)
         for group_nodes, group_kinds in self.run.batches():
             for start in range(0, group_nodes.size, BATCH):
                 nodes, kinds = group_nodes[start : start + BATCH], group_kinds[start : start + BATCH]
                 if unit is not None:
                     yield unit.events(nodes, kinds)
-                elif prefetch.kind == "traced":
+                    continue
+                if not self._format.reads_leaves:  # a leaf that is entered is no access
+                    is_access = kinds != KIND_LEAF
+                    nodes, kinds = read_only(nodes[is_access]), read_only(kinds[is_access])
+                if prefetch.kind == "traced":
                     yield nodes, (kinds == KIND_PREFETCH).view(np.uint8) * np.uint8(REQUEST)
                 else:
                     demand = np.empty(nodes.size, np.uint32)

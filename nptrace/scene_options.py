@@ -72,9 +72,25 @@ def parse_kd(text: str) -> dict[str, Any]:
     return params
 
 
-def tree_params(kd_text: str, bvh_builder: str) -> dict[str, dict[str, Any]]:
-    """Return the parameters of the builder of each kind of tree, from --kd and --bvh."""
-    return {"kdtree": parse_kd(kd_text), "bvh": {"builder": bvh_builder}}
+#: The bytes of a BVH's node, one for each of its formats in ``traces.node_formats``, which a command's help does not load.
+BVH_NODES = ["32", "64"]
+
+
+def tree_params(accel: Sequence[str], kd_text: str, bvh_builder: str, bvh_nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the builder of each kind of tree, from --accel (both if empty), --kd, --bvh and --bvh-nodes."""
+    from traces.node_formats import NODE_FORMATS, formats_of
+
+    params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text)}
+    formats = formats_of("bvh")
+    params |= {formats[int(node_bytes)].name: {"builder": bvh_builder} for node_bytes in bvh_nodes}
+    return {kind: given for kind, given in params.items() if not accel or NODE_FORMATS[kind].tree in accel}
+
+
+def bvh_nodes_option(help_: str) -> Any:
+    """Return the option for the node formats of BVHs."""
+    return click.option(
+        "--bvh-nodes", type=click.Choice(BVH_NODES), multiple=True, default=["32"], show_default=True, help=help_
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,6 +102,7 @@ class Picture:
     batch: int = 1
     kd_text: str = ""
     bvh_builder: str = "sweep"
+    bvh_nodes: tuple[str, ...] = ("32",)
     seed: int = 0
     exact_below: int = 100_000_000
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
@@ -112,6 +129,7 @@ def picture_options(command: Any) -> Any:
         click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help=SAME),
         click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help=SAME),
         click.option("--bvh", "bvh_builder", type=click.Choice(builders), default="sweep", show_default=True, help=SAME),
+        bvh_nodes_option(SAME),
         click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the sample and the order."),
         click.option(
             "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",

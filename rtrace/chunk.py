@@ -13,7 +13,7 @@ from nptrace_base.jit import kernel
 from rtrace.shading import shade, shadow_rays
 from rtrace.traverse import KIND_BITS, Hits, Rays, Room, trace, trace_recorded
 from rtrace.trees.tree import Tree
-from traces.format import PREFETCH, PRIMARY, SHADOW
+from traces.format import LEAF, PREFETCH, PRIMARY, SHADOW
 from traces.writer import empty_column
 
 #: Events of one type of rays that a chunk holds at most, unless a single ray has more: 8 MB, and 19 MB of columns. Usual
@@ -32,6 +32,7 @@ class Chunk(NamedTuple):
     pixels: np.ndarray  # (n,) uint32: y * width + x
     colours: np.ndarray  # (n, 3) uint8
     n_prefetches: int
+    n_leaves: int  # rows of leaves entered
     n_hits: int  # primary rays that hit something
     n_shadow: int
     n_shadowed: int
@@ -102,13 +103,13 @@ def _ray_columns(sequence, pixels, owner, width, primary, shadow, columns):
 
 @kernel
 def _access_columns(sequence, n, primary, shadow, columns):
-    """Write the accesses of both types of rays in the order of ``sequence``; return the number of prefetch requests."""
+    """Write the accesses of both types of rays in the order of ``sequence``; return the numbers of requests and of leaves."""
     _, _, count, events = primary
     _, _, shadow_count, shadow_events = shadow
     ray, node, kind = columns
     node_shift, kind_mask = np.uint32(KIND_BITS), np.uint32((1 << KIND_BITS) - 1)
     at, primary_at, shadow_at = np.uint64(0), np.uint64(0), np.uint64(0)
-    n_prefetches = 0
+    n_prefetches = n_leaves = 0
     for r in range(sequence.size):
         s = sequence[r]
         if s < n:
@@ -123,8 +124,9 @@ def _access_columns(sequence, n, primary, shadow, columns):
             node[at + j] = event >> node_shift
             kind[at + j] = event & kind_mask
             n_prefetches += event & kind_mask == PREFETCH
+            n_leaves += event & kind_mask == LEAF
         at += length
-    return n_prefetches
+    return n_prefetches, n_leaves
 
 
 def primary_rays(frame: np.ndarray, pixels: np.ndarray, width: int) -> Rays:
@@ -189,7 +191,7 @@ def shoot(
         "node": empty_column(total, np.uint32),
         "kind": empty_column(total, np.uint8),
     }
-    n_prefetches = _access_columns(sequence, n, primary, shadow, tuple(accesses.values()))
+    n_prefetches, n_leaves = _access_columns(sequence, n, primary, shadow, tuple(accesses.values()))
     columns: dict[str, np.ndarray] = {
         "x": np.empty(n_rays, np.uint16),
         "y": np.empty(n_rays, np.uint16),
@@ -202,7 +204,7 @@ def shoot(
     n_hits, n_shadowed = _ray_columns(sequence, pixels, owner, np.uint32(width), primary, shadow, tuple(columns.values()))
     columns["ray"] = np.arange(n_rays, dtype=np.uint32)
     n_shadow, is_shaded = n_rays if pass_ == SHADOW else n_rays - n, pass_ != PRIMARY
-    return Chunk(columns, accesses, pixels, colours, n_prefetches, n_hits, n_shadow, n_shadowed, is_shaded)
+    return Chunk(columns, accesses, pixels, colours, n_prefetches, n_leaves, n_hits, n_shadow, n_shadowed, is_shaded)
 
 
 def _traced(hits: Hits, count: np.ndarray, events: np.ndarray) -> Traced:

@@ -16,7 +16,8 @@ from rtrace.render import Shooting, command_of
 from rtrace.scenes.scene import Scene
 from rtrace.traverse import NoRoomError
 from rtrace.trees.tree import Tree, node_table
-from traces.format import PRIMARY, SHADOW
+from traces.format import LEAF, PRIMARY, SHADOW
+from traces.node_formats import NODE_FORMATS
 
 _STRIP = 512  # pixels: eight squares of 8 x 8, one strip of Manta's tile
 _LEAST_UNITS = 128  # of a picture with few rows
@@ -26,7 +27,7 @@ _LEAST_GROUP = 32  # scout rays of a group
 
 
 class RayAccesses(NamedTuple):
-    """Accesses in the order of the run, and the number of rays that made them."""
+    """Accesses of nodes in memory in the order of the run, and the number of rays that made them."""
 
     nodes: np.ndarray  # (n,) uint32
     kinds: np.ndarray  # (n,) uint8
@@ -48,6 +49,8 @@ class RayUnits:
     grain : int
         A stretch starts and ends at multiples of it: a batch of primary rays is never cut.
     node_bytes : int
+    reads_leaves : bool
+        Whether leaves are nodes in memory (``traces.node_formats``); entering one is no access where they are not.
     nodes : dict
         Columns ``parent``, ``level``, ``n_prims`` of the tree's nodes, as in ``nodes.parquet``.
     """
@@ -63,15 +66,26 @@ class RayUnits:
         self.row = max(shooting.width, self.unit) if shooting.order == "scanline" else self.unit
         self.n_positions = self._n_pixels * (1 if shooting.batch else 2)
         self.grain = shooting.batch or 1
-        self.node_bytes = tree.nodes.dtype.itemsize
+        self.node_bytes, self.reads_leaves = NODE_FORMATS[tree.kind].node_bytes, NODE_FORMATS[tree.kind].reads_leaves
         table = node_table(tree)
         self.nodes: Mapping[str, np.ndarray] = {name: table[name] for name in ("parent", "level", "n_prims")}
 
     def trace(self, cuts: Sequence[int]) -> list[RayAccesses]:
         """Return the accesses of the positions from each of ``cuts`` up to the next; they ascend."""
         if self._shooting.batch:
-            return _cut(self._chunks(self._pixels[cuts[0] : cuts[-1]], self._shooting.batch, None), cuts)
-        return [self._of_passes(start, stop) for start, stop in pairwise(cuts)]
+            stretches = _cut(self._chunks(self._pixels[cuts[0] : cuts[-1]], self._shooting.batch, None), cuts)
+        else:
+            stretches = [self._of_passes(start, stop) for start, stop in pairwise(cuts)]
+        return self._accesses(stretches)
+
+    def _accesses(self, stretches: list[RayAccesses]) -> list[RayAccesses]:
+        """Return the rows of stretches that are accesses of nodes in memory."""
+        if self.reads_leaves:
+            return stretches
+        kept = [each.kinds != LEAF for each in stretches]
+        return [
+            RayAccesses(each.nodes[keep], each.kinds[keep], each.n_rays) for each, keep in zip(stretches, kept, strict=True)
+        ]
 
     def _of_passes(self, start: int, stop: int) -> RayAccesses:
         """Return a stretch of a run with all primary rays first."""
@@ -85,7 +99,8 @@ class RayUnits:
     def probe(self, n: int, seed: int) -> float:
         """Return the mean number of accesses, prefetches included, of a position, from ``n`` random pixels."""
         chosen = np.sort(np.random.default_rng(seed).integers(self._n_pixels, size=n))
-        n_accesses = sum(len(chunk.accesses["node"]) for chunk in self._chunks(self._pixels[chosen], 1, None))
+        [all_of_them] = self._accesses([_whole(self._chunks(self._pixels[chosen], 1, None))])
+        n_accesses = all_of_them.nodes.size
         return n_accesses / n * self._n_pixels / self.n_positions
 
     def scout(self, seed: int) -> tuple[np.ndarray, list[RayAccesses], np.ndarray]:
@@ -110,13 +125,14 @@ class RayUnits:
         places = np.array([at[low:high].mean() for low, high in pairwise(cuts)])
         pixels = self._pixels[at]
         if self._shooting.batch:
-            return places, _cut(self._chunks(pixels, 1, None), cuts), at
+            return places, self._accesses(_cut(self._chunks(pixels, 1, None), cuts)), at
         groups = [
             _whole(self._chunks(pixels[low:high], high - low, which))
             for which in (PRIMARY, SHADOW)
             for low, high in pairwise(cuts)
         ]
-        return np.concatenate([places, places + self._n_pixels]), groups, np.concatenate([at, at + self._n_pixels])
+        positions = np.concatenate([at, at + self._n_pixels])
+        return np.concatenate([places, places + self._n_pixels]), self._accesses(groups), positions
 
     def _chunks(self, pixels: np.ndarray, batch: int, which: int | None) -> Iterator[Chunk]:
         """Yield the chunks of pixels: one, or as many as ``MOST_EVENTS`` takes, as when rendering."""

@@ -26,6 +26,7 @@ from rtrace.trees.tree import Tree, node_table
 from rtrace.trees.tree_cache import cached_tree
 from traces.footer import CameraFacts, Footer, SceneFacts, TreeFacts
 from traces.format import BOX, PRIMARY, SHADOW, SPLIT
+from traces.node_formats import NODE_FORMATS
 from traces.writer import RunWriter, refuse_other
 
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
@@ -74,7 +75,7 @@ class Summary(NamedTuple):
     n_hits: int  # primary rays that hit something
     n_shadow_rays: int
     n_shadowed: int
-    n_accesses: int  # demand; prefetch requests are counted separately
+    n_accesses: int  # demand, of nodes in memory; prefetch requests are counted separately
     n_prefetches: int
     n_bytes: int  # of the four files
 
@@ -149,9 +150,12 @@ def _pieces(n: int, batch: int) -> Iterator[_Piece]:
 def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
     """Return the command that makes this run again, with every option spelled out."""
     params = ",".join(f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs"))
-    builder = ["--kd", params] if tree.kind == "kdtree" else ["--bvh", tree.params["builder"]]
+    node_format = NODE_FORMATS[tree.kind]
+    builder = ["--kd", params] if node_format.tree == "kdtree" else ["--bvh", tree.params["builder"]]
+    if node_format.version > 1:
+        builder += ["--bvh-nodes", str(node_format.node_bytes)]
     words = [
-        "nptrace", "render", scene.source, "--accel", tree.kind, "--size", f"{shooting.width}x{shooting.height}",
+        "nptrace", "render", scene.source, "--accel", node_format.tree, "--size", f"{shooting.width}x{shooting.height}",
         "--camera", format_camera(scene.camera), "--light", ",".join(map(repr, scene.light)),
         "--order", shooting.order, "--batch", str(shooting.batch), "--seed", str(shooting.seed), *builder,
     ]  # fmt: skip
@@ -167,7 +171,7 @@ def footer_of(scene: Scene, tree: Tree, shooting: Shooting, tool_version: str) -
         camera=CameraFacts(**asdict(scene.camera)),
         light=scene.light,
         **asdict(shooting),
-        tree=TreeFacts(tree.kind, tree.nodes.dtype.itemsize, tree.params),
+        tree=TreeFacts(tree.kind, NODE_FORMATS[tree.kind].node_bytes, tree.params),
     )
 
 
@@ -188,9 +192,10 @@ def render(
     progress : callable
         Called with the number of pixels done, chunk by chunk.
     """
-    fields = SPLIT if tree.kind == "kdtree" else BOX
+    node_format = NODE_FORMATS[tree.kind]
+    fields = SPLIT if node_format.tree == "kdtree" else BOX
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
-    n_rays = n_accesses = n_prefetches = n_shadow = n_hits = n_shadowed = 0
+    n_rays = n_accesses = n_prefetches = n_leaves = n_shadow = n_hits = n_shadowed = 0
     with RunWriter(path, footer_of(scene, tree, shooting, tool_version), fields) as run:
         run.append("nodes", partial(node_table, tree))
         for chunk in chunks(tree, scene, shooting, threads):
@@ -202,6 +207,7 @@ def render(
             n_rays += len(chunk.rays["ray"])
             n_accesses += len(chunk.accesses["ray"])
             n_prefetches += chunk.n_prefetches
+            n_leaves += 0 if node_format.reads_leaves else chunk.n_leaves
             n_hits += chunk.n_hits
             n_shadow += chunk.n_shadow
             n_shadowed += chunk.n_shadowed
@@ -213,7 +219,7 @@ def render(
     n_bytes = sum(file.stat().st_size for file in path.iterdir())
     return Summary(
         str(path), len(scene.triangles), len(tree.nodes), n_rays, n_hits, n_shadow, n_shadowed,
-        n_accesses - n_prefetches, n_prefetches, n_bytes,
+        n_accesses - n_prefetches - n_leaves, n_prefetches, n_bytes,
     )  # fmt: skip
 
 
@@ -229,7 +235,7 @@ def render_all(
     tool_version: str = "",
     progress: Callable[[int], object] = lambda pixels: None,
 ) -> Iterator[Summary]:
-    """Render each scene with each tree of ``params`` (kind -> builder parameters) as ``folder/<scene>-<tree>``.
+    """Render each scene with each tree of ``params`` (kind -> builder parameters) as ``folder/<scene>-<kind>``.
 
     The trees are built by threads ahead of the pictures; summaries come as the runs are written. ``names`` replace the scenes'
     names in those of the runs.

@@ -51,6 +51,19 @@ def pack(typing, x, y, z):
     return LANES(types.float64, types.float64, types.float64), generate
 
 
+@instructions(lambda a, b: (a, a, b, b))
+def pack_halves(typing, a, b):
+    """Return two float64 as lanes: the first two are ``a``, the others ``b``."""
+
+    def generate(context, builder, signature, args):
+        lanes = ir.Constant(_FOUR_DOUBLES, ir.Undefined)
+        for i in range(4):
+            lanes = builder.insert_element(lanes, args[i // 2], _index(i))
+        return lanes
+
+    return LANES(types.float64, types.float64), generate
+
+
 @instructions(lambda array, start: tuple(array[start : start + np.uint64(4)].astype(np.float64)))
 def load(typing, array, start):
     """Return four float32 of a flat array, from ``start`` on, as lanes. The bounds are not checked."""
@@ -96,9 +109,18 @@ def larger(typing, a, b):
 @instructions(lambda lanes: lanes[:3])
 def unpack(typing, lanes):
     """Return the first three lanes as a tuple of float64."""
+    return types.UniTuple(types.float64, 3)(LANES), _unpacked(3)
 
+
+@instructions(lambda lanes: lanes)
+def unpack_all(typing, lanes):
+    """Return the lanes as a tuple of float64."""
+    return types.UniTuple(types.float64, 4)(LANES), _unpacked(4)
+
+
+def _unpacked(n: int) -> Any:
     def generate(context, builder, signature, args):
-        values = [builder.extract_element(args[0], _index(i)) for i in range(3)]
+        values = [builder.extract_element(args[0], _index(i)) for i in range(n)]
         return context.make_tuple(builder, signature.return_type, values)
 
-    return types.UniTuple(types.float64, 3)(LANES), generate
+    return generate

@@ -19,9 +19,10 @@ import numpy as np
 
 from nptrace_base.atomic import whole_file
 from nptrace_base.jit import kernel
-from traces.format import PREFETCH
+from traces.format import LEAF, PREFETCH
 from traces.reader import Run
 from traces.stream import Stream, StreamError
+from traces.validation import LEAF_AXIS
 
 LABELS = (0x0, 0x2, 0x3, 0xB)
 TEXT_ACCESS_BYTES = 4
@@ -269,6 +270,10 @@ def export_din(
     node_bytes = run.footer.tree.node_bytes
     if addresses is None:
         addresses = run.columns("nodes", ["address"])["address"]
+    reads_leaves = run.footer.tree.node_format.reads_leaves
+    if not reads_leaves:
+        axis = run.columns("nodes", ["axis"])["axis"]
+        addresses = np.where(axis == LEAF_AXIS, 0, addresses)  # a leaf is no node in memory, so nothing reads it
     highest = int(addresses.max()) + node_bytes
     if highest > 1 << 32:
         raise DinError(f"{run.name} reaches address {highest:#x}; a DineroIV trace has 32 bits, so move the layout down")
@@ -281,13 +286,14 @@ def export_din(
         )
     narrow = np.ascontiguousarray(addresses, np.uint32)
     mark = PREFETCH_LABELS[prefetch]
+    left_out = [PREFETCH] * (mark is None) + [LEAF] * (not reads_leaves)
     labels = np.array([0, 0, 0, mark or 0], np.uint8)
     out = Path(out)
     written = 0
     with whole_file(out) as temporary, open(temporary, "wb") as file:
         for nodes, kinds in run.batches():
-            if mark is None:
-                keep = kinds != PREFETCH
+            if left_out:
+                keep = ~np.isin(kinds, left_out)
                 nodes, kinds = nodes[keep], kinds[keep]
             where, what = narrow[nodes], labels[kinds]
             file.write(_records(where, what, node_bytes) if fmt == "binary" else _lines(where, what))

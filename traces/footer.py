@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from traces.format import FORMAT_VERSION, RunError
+from traces.node_formats import NODE_FORMATS, NodeFormat
 
 #: Bytes that a node may have: with fewer than 2^32 nodes no address overflows.
 MAX_NODE_BYTES = 1 << 20
@@ -41,11 +42,16 @@ class CameraFacts:
 
 @dataclass(frozen=True, slots=True)
 class TreeFacts:
-    """The tree of a run: ``"kdtree"`` or ``"bvh"``, the bytes of a node, and its builder's parameters."""
+    """The tree of a run: the name of its node format, the bytes of a node, and its builder's parameters."""
 
     kind: str
     node_bytes: int
     params: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def node_format(self) -> NodeFormat:
+        """The format of the nodes."""
+        return NODE_FORMATS[self.kind]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +106,7 @@ class Footer:
         values["tree"] |= values["tree"].pop("params")
         if self.image_sha256 is None:
             del values["image_sha256"]
-        return json.dumps({"format_version": FORMAT_VERSION, **values}, sort_keys=True).encode()
+        return json.dumps({"format_version": self.tree.node_format.version, **values}, sort_keys=True).encode()
 
     def differences(self, other: "Footer") -> list[str]:
         """Return the entries in which two runs differ; their versions and the places of their meshes do not count."""
@@ -123,12 +129,15 @@ def parse_footer(text: bytes, path: Path) -> Footer:
     if not isinstance(values, dict):
         raise RunError(f"{path} is damaged (its footer is {str(values)[:40]!r}, not an object); render it again")
     version = _checked(object, values.get("format_version"), "format_version", path)
-    if version != FORMAT_VERSION:
-        raise RunError(f"{path} has format version {version}, and this program reads {FORMAT_VERSION}; render it again")
+    if version not in range(1, FORMAT_VERSION + 1) or isinstance(version, bool):
+        raise RunError(f"{path} has format version {version}, and this program reads 1 to {FORMAT_VERSION}; render it again")
     footer: Footer = _parsed(Footer, values, "", path)
-    tree = footer.tree
-    if tree.kind not in ("kdtree", "bvh") or not 1 <= tree.node_bytes <= MAX_NODE_BYTES:
-        raise RunError(f"{path} has a tree {tree.kind!r} with {tree.node_bytes}-byte nodes; only kdtree and bvh are known")
+    tree, known = footer.tree, [name for name, each in NODE_FORMATS.items() if each.version <= version]
+    if tree.kind not in known or not 1 <= tree.node_bytes <= MAX_NODE_BYTES:
+        raise RunError(
+            f"{path} has a tree {tree.kind!r} with {tree.node_bytes}-byte nodes; format version {version} has the kinds "
+            f"{', '.join(known)}, with nodes of up to 2^20 B; render it again"
+        )
     return footer
 
 

@@ -18,7 +18,8 @@ import pyarrow as pa
 
 from nptrace_base.errors import NptraceError
 
-FORMAT_VERSION = 1
+#: The newest version. A run has the oldest one that describes it, so that programs that know that one read it.
+FORMAT_VERSION = 2
 ROW_GROUP = 1 << 18  # rows: a page, which is one column of them, is 2 MB at most
 METADATA_KEY = b"nptrace"
 
@@ -62,6 +63,8 @@ NODES = pa.schema(
         _field("address", pa.uint64(), "byte address as stored: node number x node size"),
     ]
 )
+#: In place of ``address`` above where leaves are no nodes in memory.
+INNER_ADDRESS = _field("address", pa.uint64(), "byte address of an inner node as stored; 2^64 - 1 for a leaf")
 SPLIT = [_field("split", pa.float32(), "kd-tree: position of the split plane; NaN for a leaf")]
 BOX = [_field(f"{end}_{axis}", pa.float32(), "BVH: the node's box") for axis in "xyz" for end in ("min", "max")]
 

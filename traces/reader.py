@@ -82,7 +82,7 @@ class Run:
         if table == "rays":
             check_rays(columns, self.path / "rays.parquet", self.footer)
         else:
-            check_nodes(columns, self.path / "nodes.parquet", self.footer.tree.node_bytes if "address" in columns else None)
+            check_nodes(columns, self.path / "nodes.parquet", self.footer.tree)
             self._axis = columns["axis"]
         return {name: columns[name] for name in names}
 
@@ -111,7 +111,7 @@ class Run:
         ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
         # Not in a thread of its own beside the accesses: the two share a cache, which costs processor time.
         axis = self.columns("nodes", ["axis"])["axis"] if self._axis is None else self._axis
-        allowed = kinds_allowed(axis, self.footer.tree.kind)
+        allowed = kinds_allowed(axis, self.footer.tree.node_format)
         for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path):
             columns = {name: plain(read.column(name), ACCESSES.field(name), path, row) for name in read.schema.names}
             check_accesses(columns["node"], columns["kind"], allowed, path, row)

@@ -12,8 +12,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from nptrace_base.jit import kernel
-from traces.footer import Footer
-from traces.format import LEAF, PREFETCH, PUSH, READ, SHADOW, RunError
+from traces.footer import Footer, TreeFacts
+from traces.format import LEAF, PREFETCH, SHADOW, RunError
+from traces.node_formats import NodeFormat, stored_addresses
 
 #: The axis of a leaf in ``nodes.parquet``.
 LEAF_AXIS = 3
@@ -29,7 +30,6 @@ _NODE_RULES = {
     _LEVEL: ("level", "the root has level 0, any other node its parent's level + 1"),
     _AXIS: ("axis", "a node with children has axis 0, 1 or 2, a leaf 3"),
     _INNER: ("n_prims", "only leaves have triangles"),
-    _ADDRESS: ("address", "an address is node number x node size"),
 }
 
 
@@ -83,11 +83,8 @@ def _converted(column: pa.ChunkedArray | pa.Array, wanted: pa.DataType) -> np.nd
     return values
 
 
-def check_nodes(columns: Mapping[str, np.ndarray], path: Path, node_bytes: int | None) -> None:
-    """Check the columns of ``nodes.parquet`` except split and boxes.
-
-    ``node_bytes`` is None where addresses are not read.
-    """
+def check_nodes(columns: Mapping[str, np.ndarray], path: Path, tree: TreeFacts) -> None:
+    """Check the columns of ``nodes.parquet`` except split and boxes; addresses where they were read."""
     n = columns["node"].size
     if n % 2 == 0:
         raise RunError(
@@ -97,11 +94,11 @@ def check_nodes(columns: Mapping[str, np.ndarray], path: Path, node_bytes: int |
     row, rule = first_bad_node(
         columns["node"], columns["parent"], columns["level"], columns["axis"], columns["n_prims"], has_children
     )
-    if rule == _OK and node_bytes is not None:
-        wrong = columns["address"] != columns["node"].astype(np.uint64) * np.uint64(node_bytes)
+    if rule == _OK and "address" in columns:
+        wrong = columns["address"] != stored_addresses(columns["parent"], tree.node_format, tree.node_bytes)
         row, rule = (int(np.argmax(wrong)), _ADDRESS) if wrong.any() else (0, _OK)
     if rule != _OK:
-        column, text = _NODE_RULES[rule]
+        column, text = ("address", tree.node_format.address_rule) if rule == _ADDRESS else _NODE_RULES[rule]
         raise bad_value(path, column, row, columns[column][row], text)
 
 
@@ -153,11 +150,9 @@ def is_any_bad(node, axis, n_prims, has_children):
     return is_bad
 
 
-def kinds_allowed(axis: np.ndarray, tree: str) -> np.ndarray:
+def kinds_allowed(axis: np.ndarray, node_format: NodeFormat) -> np.ndarray:
     """Return the kinds that an access of each node may have, (n_nodes,) uint8 with one bit per kind."""
-    inner, leaf = 1 << READ | 1 << PUSH | 1 << PREFETCH, 1 << LEAF | 1 << PREFETCH
-    if tree != "kdtree":
-        leaf |= 1 << READ  # a BVH's leaf whose box is missed
+    inner, leaf = (sum(1 << kind for kind in kinds) for kinds in (node_format.inner_kinds, node_format.leaf_kinds))
     allowed = np.empty(axis.size, np.uint8)
     fill_allowed(axis, np.uint8(inner), np.uint8(leaf), allowed)
     return allowed

@@ -25,6 +25,7 @@ from traces.format import (
     ACCESSES,
     ENCODING,
     FILES,
+    INNER_ADDRESS,
     METADATA_KEY,
     NODES,
     RAYS,
@@ -164,6 +165,8 @@ class RunWriter:
         for name, schema in (("accesses", ACCESSES), ("rays", RAYS)):
             self._tables[name] = _Table(self._temp / f"{name}.parquet", schema)
         nodes = pa.schema([*NODES, *self._node_fields])
+        if not self._footer.tree.node_format.reads_leaves:
+            nodes = nodes.set(nodes.get_field_index("address"), INNER_ADDRESS)
         self._tables["nodes"] = _Table(self._temp / "nodes.parquet", nodes)
         return self
 

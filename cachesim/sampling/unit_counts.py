@@ -67,6 +67,8 @@ class UnitSource(Protocol):
     grain : int
         Stretches start and end at multiples of it, or at the end.
     node_bytes : int
+    reads_leaves : bool
+        Whether leaves are nodes in memory; the accesses are those of nodes in memory.
     nodes : mapping
         Columns ``parent`` and ``level`` of ``nodes.parquet``.
     """
@@ -78,6 +80,7 @@ class UnitSource(Protocol):
     row: int
     grain: int
     node_bytes: int
+    reads_leaves: bool
     nodes: Mapping[str, np.ndarray]
 
     def trace(self, cuts: Sequence[int]) -> Sequence[Stretch]:
@@ -169,8 +172,9 @@ class UnitCounts:
         self._source, self._configs, self._threads = source, list(configs), threads or os.cpu_count() or 1
         self._enough = ACCESSES_PER_LINE * max(config.n_lines for config in configs)
         self._lines = NodeLines(
-            addresses(source.nodes, source.node_bytes, "stored"), source.node_bytes, configs[0].line_bytes, 0
-        )
+            addresses(source.nodes, source.node_bytes, "stored", source.reads_leaves), source.node_bytes,
+            configs[0].line_bytes, 0,
+        )  # fmt: skip
         unit = -(-source.unit // source.grain) * source.grain
         self._starts = np.append(np.arange(0, source.n_positions, unit), source.n_positions)
         self.n_units = self._starts.size - 1

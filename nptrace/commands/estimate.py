@@ -24,18 +24,19 @@ def estimate_scenes(
     scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", picture: Picture,
     resume: Path | None = None,
 ) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
-    """Estimate every scene with every tree; return (tree, scene, result) of each."""
+    """Estimate every scene with every tree (both if ``accel`` is empty); return (tree, scene, result) of each."""
     from cachesim.sampling.estimate import estimate as estimate_source
     from rtrace.ray_source import RayUnits
     from rtrace.trees.tree_cache import cached_tree
 
-    shooting, params = picture.shooting(), tree_params(picture.kd_text, picture.bvh_builder)
-    if resume is not None and len(scenes) * len(accel) > 1:
+    shooting = picture.shooting()
+    params = tree_params(accel, picture.kd_text, picture.bvh_builder, picture.bvh_nodes)
+    if resume is not None and len(scenes) * len(params) > 1:
         raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
     found = []
     for scene in scenes:
-        for kind in accel:
-            source = RayUnits(scene, cached_tree(scene, kind, **params[kind]), shooting)
+        for kind, given in params.items():
+            source = RayUnits(scene, cached_tree(scene, kind, **given), shooting)
             with progress_bar(f"estimate {source.name}", None) as progress:
                 result = estimate_source(
                     source, configs, target, seed=picture.seed, threads=picture.threads, exact_below=picture.exact_below,
@@ -83,7 +84,7 @@ def estimate(
         for one_size in size for ways in assoc
     ]  # fmt: skip
     scenes = load_scenes(names, strict, offline, camera, light)
-    found = estimate_scenes(scenes, accel or ("kdtree", "bvh"), configs, target, Picture(**picture), resume)
+    found = estimate_scenes(scenes, accel, configs, target, Picture(**picture), resume)
     results = [result for _, _, result in found]
     if as_json:
         click.echo(json.dumps([result.to_dict() for result in results], indent=2))

@@ -9,7 +9,7 @@ import click
 from nptrace import __version__
 from nptrace.options import threads_option
 from nptrace.progress import progress_bar
-from nptrace.scene_options import check_run_names, load_scenes, scene_options, tree_params
+from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes, scene_options, tree_params
 
 
 @click.command()
@@ -48,10 +48,11 @@ from nptrace.scene_options import check_run_names, load_scenes, scene_options, t
     show_default=True,
     help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
 )
+@bvh_nodes_option("Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.")
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
 @click.option(
     "--name", "run_names", multiple=True, metavar="NAME",
-    help="Name of the run, before -kdtree or -bvh, instead of the scene's name; once per SCENE.",
+    help="Name of the run, before -kdtree, -bvh or -bvh64, instead of the scene's name; once per SCENE.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a run of another scene, picture or tree that has the same name.")
 @threads_option()
@@ -59,13 +60,13 @@ from nptrace.scene_options import check_run_names, load_scenes, scene_options, t
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def render(
     names: tuple[str, ...], accel: tuple[str, ...], size: str, camera: str | None, light: str | None, order: str, batch: int,
-    seed: int, kd_text: str, bvh_builder: str, out: Path, run_names: tuple[str, ...], overwrite: bool, threads: int,
-    strict: bool, offline: bool, as_json: bool,
+    seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
+    overwrite: bool, threads: int, strict: bool, offline: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
-    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>. The same command
-    replaces its run; another run of that name is kept unless you give --overwrite.
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>, and <scene>-bvh64 if the BVH
+    has nodes of 64 bytes. The same command replaces its run; another run of that name is kept unless you give --overwrite.
 
     \b
     nptrace render bunny
@@ -79,8 +80,7 @@ def render(
 
     check_run_names(run_names, len(names))
     shooting = Shooting(*parse_size(size), order, batch, seed)
-    params = tree_params(kd_text, bvh_builder)
-    chosen = {kind: params[kind] for kind in accel or params}
+    chosen = tree_params(accel, kd_text, bvh_builder, bvh_nodes)
     scenes = load_scenes(names, strict, offline, camera, light)
     for scene in scenes:
         if scene.precision is not None:

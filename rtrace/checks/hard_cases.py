@@ -18,6 +18,7 @@ from rtrace.traverse import Hits, Rays, make_rays, trace, trace_all
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.tree import BVH_NODE, Tree
+from rtrace.trees.tree_cache import build_tree
 
 #: Brute force is run for up to so many pairs of ray and triangle.
 _BRUTE_PAIRS = 3 * 10**7
@@ -93,6 +94,7 @@ STRUCTURES: Structures = {
     "kd-tree, 3 levels": partial(_traced, partial(build_kdtree, max_level=3)),
     "BVH": partial(_traced, build_bvh),
     "BVH, binned": partial(_traced, partial(build_bvh, builder="binned")),
+    "BVH, 64-byte nodes": partial(_traced, partial(build_tree, kind="bvh64")),
     "brute force": _brute_force,
 }
 

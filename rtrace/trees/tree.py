@@ -10,6 +10,7 @@ import numpy as np
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
+from traces.node_formats import CHILD_BOXES, NODE_FORMATS, stored_addresses
 
 #: Low two bits of ``meta``: the split axis 0, 1, 2 of an inner node, or LEAF_AXIS. The upper 30 bits are the number of
 #: primitives of a leaf, or, in an inner kd node, the number of its lower child.
@@ -30,10 +31,18 @@ KD_NODE = np.dtype(
 BVH_NODE = np.dtype([("lower", "<f4", 3), ("upper", "<f4", 3), ("child", "<u4"), ("meta", "<u4")])
 
 
+#: A pair of siblings as kernels of the format ``bvh64`` read it. For each axis the lower faces of both boxes, the upper ones,
+#: and the lower ones again: the four from the first or from the third on are the nearer faces and then the farther ones, for
+#: a ray of either direction, so that one test is made of both boxes. Then ``child`` and ``meta`` of both. The format itself
+#: has every face once, in 64 bytes.
+BVH_PAIR = np.dtype([("faces", "<f4", (3, 6)), ("links", "<u4", (2, 2)), ("room", "<u4", 2)])
+
 #: The fields of a node as kernels see them: words of 4 bytes, counted from the node's first.
 KD_WORDS, BVH_WORDS = KD_NODE.itemsize // 4, BVH_NODE.itemsize // 4
 SPLIT, FIRST, KD_META = 0, 0, 1
 LOWER, UPPER, CHILD, META = 0, 3, 6, 7
+#: The same of a pair: where the faces of an axis and the links of a sibling begin, and how many words they have.
+PAIR_WORDS, FACE_WORDS, LINKS, LINK_WORDS = BVH_PAIR.itemsize // 4, 6, 18, 2
 
 
 class Tree(NamedTuple):
@@ -42,7 +51,8 @@ class Tree(NamedTuple):
     Attributes
     ----------
     kind : str
-        ``"kdtree"`` or ``"bvh"``.
+        Which tree it is and in which format its nodes are read: a name in ``traces.node_formats``. The arrays are those of
+        the format's ``tree``, so that another format of that tree is the same arrays under its name.
     nodes : (n_nodes,) KD_NODE or BVH_NODE
     prims : (n_refs,) int32
         Triangle numbers, leaf by leaf, ascending inside a leaf.
@@ -58,6 +68,8 @@ class Tree(NamedTuple):
         Level of the deepest node, root 0: also the most entries a traversal stack can hold.
     params : dict
         What the builder was asked for, as written into a run's footer.
+    pairs : (n_pairs,) BVH_PAIR or None
+        In the format ``bvh64``: the nodes as kernels read them. Nodes 2k - 1 and 2k are pair k, the root is alone in pair 0.
     """
 
     kind: str
@@ -69,6 +81,22 @@ class Tree(NamedTuple):
     core: np.ndarray
     max_level: int
     params: dict
+    pairs: np.ndarray | None = None
+
+
+def in_format(tree: Tree, kind: str) -> Tree:
+    """Return a tree in a node format of its kind of tree."""
+    if NODE_FORMATS[kind].boxes != CHILD_BOXES:
+        return tree._replace(kind=kind, pairs=None)
+    padded = np.zeros(tree.nodes.size + 1, BVH_NODE)
+    padded[1:] = tree.nodes
+    siblings = padded.reshape(-1, 2)
+    pairs = np.zeros(len(siblings), BVH_PAIR)
+    pairs["faces"][:, :, :2] = siblings["lower"].swapaxes(1, 2)
+    pairs["faces"][:, :, 2:4] = siblings["upper"].swapaxes(1, 2)
+    pairs["faces"][:, :, 4:] = pairs["faces"][:, :, :2]
+    pairs["links"][:, :, 0], pairs["links"][:, :, 1] = siblings["child"], siblings["meta"]
+    return tree._replace(kind=kind, pairs=pairs)
 
 
 def words(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +107,7 @@ def words(tree: Tree) -> tuple[np.ndarray, np.ndarray]:
 class TreeArrays(NamedTuple):
     """A Tree as the traversal kernels take it: every array flat."""
 
-    nodes: np.ndarray  # float32: the words of the nodes
+    nodes: np.ndarray  # float32: the words of the nodes, or of the pairs
     meta: np.ndarray  # uint32: the same memory
     prims: np.ndarray
     corners: np.ndarray
@@ -91,7 +119,10 @@ class TreeArrays(NamedTuple):
 def tree_arrays(tree: Tree) -> TreeArrays:
     """Return a tree's arrays, flat; nothing is copied."""
     corners, core, bounds = tree.corners.reshape(-1), tree.core.reshape(-1), tree.bounds.reshape(-1)
-    return TreeArrays(*words(tree), tree.prims, corners, core, bounds, tree.max_level)
+    nodes, meta = words(tree)
+    if tree.pairs is not None:
+        nodes, meta = tree.pairs.view(np.float32), tree.pairs.view(np.uint32)
+    return TreeArrays(nodes, meta, tree.prims, corners, core, bounds, tree.max_level)
 
 
 def check_finite(triangles: np.ndarray) -> None:
@@ -143,10 +174,10 @@ def node_table(tree: Tree) -> dict[str, np.ndarray]:
     """Return one column per fact of a node, as ``nodes.parquet`` stores them.
 
     ``parent`` int32 (-1 for the root), ``level`` uint16, ``axis`` uint8 (3 for a leaf), ``n_prims`` uint32 (0 for an inner
-    node), ``address`` uint64 in bytes (node number x node size), and ``split`` float32 (kd-tree; NaN for a leaf) or
+    node), ``address`` uint64 in bytes (``traces.node_formats``), and ``split`` float32 (kd-tree; NaN for a leaf) or
     ``min_x`` ... ``max_z`` float32 (BVH).
     """
-    nodes, n = tree.nodes, tree.nodes.size
+    nodes, n, node_format = tree.nodes, tree.nodes.size, NODE_FORMATS[tree.kind]
     parent, level = np.empty(n, np.int32), np.empty(n, np.uint16)
     axis, n_prims = np.empty(n, np.uint8), np.empty(n, np.uint32)
     _node_columns(words(tree)[1], np.uint64(nodes.itemsize // 4), tree.kind == "kdtree", parent, level, axis, n_prims)
@@ -156,7 +187,7 @@ def node_table(tree: Tree) -> dict[str, np.ndarray]:
         "level": level,
         "axis": axis,
         "n_prims": n_prims,
-        "address": np.arange(0, n * nodes.itemsize, nodes.itemsize, dtype=np.uint64),
+        "address": stored_addresses(parent, node_format, node_format.node_bytes),
     }
     if tree.kind == "kdtree":
         table["split"] = np.where(axis == LEAF_AXIS, np.float32(np.nan), nodes["split"])

@@ -27,19 +27,25 @@ from nptrace_base.sources import digest_of
 from rtrace.scenes.scene import Scene
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
-from rtrace.trees.tree import BVH_NODE, KD_NODE, Tree
+from rtrace.trees.tree import BVH_NODE, KD_NODE, Tree, in_format
+from traces.node_formats import NODE_FORMATS
 
-TREES = ("kdtree", "bvh")
+#: The kinds of trees: every node format there is.
+TREES = tuple(NODE_FORMATS)
 MAX_BYTES = 2 << 30
 
 
 def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
-    """Build a ``"kdtree"`` or a ``"bvh"``; parameters as ``build_kdtree`` and ``build_bvh``."""
-    if kind == "kdtree":
-        return build_kdtree(triangles, **params)
-    if kind == "bvh":
-        return build_bvh(triangles, **params)
-    raise NptraceError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
+    """Build a tree of a kind of ``TREES``; parameters as ``build_kdtree`` and ``build_bvh``."""
+    build = build_kdtree if _tree_of(kind) == "kdtree" else build_bvh
+    return in_format(build(triangles, **params), kind)
+
+
+def _tree_of(kind: str) -> str:
+    """Return which tree is built for a kind: formats of one tree share what is built, and the file it is kept in."""
+    if kind not in TREES:
+        raise NptraceError(f"tree must be one of {', '.join(TREES)}, got {kind!r}")
+    return NODE_FORMATS[kind].tree
 
 
 def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: Any) -> Tree:
@@ -48,7 +54,7 @@ def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: A
     Parameters as ``build_tree``. If the cache cannot be used, the tree is not kept.
     """
     folder = folder or user_cache_path("nptrace") / "trees"
-    key = json.dumps([scene.sha256, kind, sorted(params.items()), _builder_digest(), versions()])
+    key = json.dumps([scene.sha256, _tree_of(kind), sorted(params.items()), _builder_digest(), versions()])
     path = folder / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.npz"
     try:
         private_folder(folder)
@@ -77,13 +83,13 @@ def _builder_digest() -> str:
 def _load(path: Path, scene: Scene, kind: str) -> Tree:
     with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:  # the zip has a checksum for each array
         params = json.loads(bytes(arrays["params"]))
-        nodes = arrays["nodes"].view(KD_NODE if kind == "kdtree" else BVH_NODE)
+        nodes = arrays["nodes"].view(KD_NODE if _tree_of(kind) == "kdtree" else BVH_NODE)
         prims, max_level = arrays["prims"], int(arrays["max_level"])
         bounds, core = arrays["extent"]
     with suppress(OSError):
         os.utime(path)  # lately used: not among the oldest
     corners = np.take(scene.triangles, prims, axis=0)
-    return Tree(kind, nodes, prims, corners, scene.triangles, bounds, core, max_level, params)
+    return in_format(Tree(kind, nodes, prims, corners, scene.triangles, bounds, core, max_level, params), kind)
 
 
 def _store(path: Path, tree: Tree) -> None:

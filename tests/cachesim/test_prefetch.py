@@ -15,14 +15,14 @@ from cachesim.source import RunSource
 from tests.reference.cache import Cache, derive
 from tests.reference.traces import make_trace, write
 from traces.format import ROW_GROUP
+from traces.node_formats import NODE_FORMATS
 
-KINDS = ("kdtree", "bvh")
+KINDS = ("kdtree", "bvh", "bvh64")
 
 
 def unit(trace, policy):
-    return StackReplay(
-        parse_prefetch(policy), trace.kind == "kdtree", np.array(trace.n_prims, np.uint32), np.array(trace.level, np.uint16)
-    )
+    columns = (np.array(column) for column in (trace.n_prims, trace.level, trace.parent))
+    return StackReplay(parse_prefetch(policy), NODE_FORMATS[trace.kind], *columns)
 
 
 def columns(rows):
@@ -40,8 +40,8 @@ def run_through(trace, policy, cuts=()):
 def test_the_worked_ray():
     """Seven kd nodes; the ray crosses 3, then 4, then 5, and hits a triangle there (the run format's worked example)."""
     rows = [(0, 1), (1, 1), (3, 2), (4, 2), (2, 0), (5, 2)]
-    level, n_prims = np.array([0, 1, 1, 2, 2, 2, 2]), np.array([0, 0, 0, 2, 1, 1, 1])
-    replayed = StackReplay(parse_prefetch("stack"), True, n_prims, level)
+    level, n_prims, parent = np.array([0, 1, 1, 2, 2, 2, 2]), np.array([0, 0, 0, 2, 1, 1, 1]), np.array([-1, 0, 0, 1, 1, 2, 2])
+    replayed = StackReplay(parse_prefetch("stack"), NODE_FORMATS["kdtree"], n_prims, level, parent)
     nodes, labels = replayed.events(*columns(rows))
     assert list(zip(nodes.tolist(), labels.tolist(), strict=True)) == [
         (0, 0), (1, 0), (3, 0), (4, 11), (2, 11), (4, 0), (2, 0), (5, 0)
@@ -52,7 +52,7 @@ def test_the_worked_ray():
 @given(seed=st.integers(0, 1 << 20), cuts=st.lists(st.integers(0, 100), max_size=4))
 def test_unlimited_is_what_was_traced_event_by_event(kind, seed, cuts):
     trace = make_trace(kind, seed, n_rays=8)
-    assert run_through(trace, "stack", cuts) == [(node, row == 3) for node, row in trace.node_kinds]
+    assert run_through(trace, "stack", cuts) == trace.accesses
 
 
 policies = st.builds(
@@ -82,7 +82,7 @@ def test_policies_differ(kind):
         policy: sum(is_request for _, is_request in run_through(trace, policy))
         for policy in ("stack", "stack:budget=1", "stack:tris*1", "stack:empty", "stack:once", "stack:budget=0")
     }
-    assert len(set(requests.values())) == 6, requests
+    assert len(set(requests.values())) == (5 if kind == "bvh64" else 6), requests  # the leaves of that have triangles
     assert requests["stack:budget=0"] == 0
 
 
@@ -96,10 +96,10 @@ def test_a_run_replays_as_its_model(kind, tmp_path):
     for a, b, config in zip(traced, derived, grid, strict=True):
         assert a.to_dict() | {"prefetch": ""} == b.to_dict() | {"prefetch": ""}
         accesses = [
-            (line, 11 if row == 3 else 0)
-            for node, row in trace.node_kinds
-            for line in range(node * trace.node_bytes // config.line_bytes,
-                              ((node + 1) * trace.node_bytes - 1) // config.line_bytes + 1)
+            (line, 11 if is_request else 0)
+            for node, is_request in trace.accesses
+            for line in range(trace.addresses[node] // config.line_bytes,
+                              (trace.addresses[node] + trace.node_bytes - 1) // config.line_bytes + 1)
         ]  # fmt: skip
         model = Cache(config).replay(accesses)
         assert {name: getattr(a, name).tolist() for name in model.counts} == model.counts
@@ -108,7 +108,7 @@ def test_a_run_replays_as_its_model(kind, tmp_path):
         )  # fmt: skip
         assert a.useful > 0
         assert a.pollution > 0
-        assert a.n_splits == len(accesses) - len(trace.rows)
+        assert a.n_splits == len(accesses) - len(trace.accesses)
 
 
 @pytest.mark.parametrize("prefetch", ["traced", "stack:tris*1", "next-line:tagged"])
@@ -129,10 +129,11 @@ def test_small_batches_of_a_run_and_several_row_groups(prefetch, tmp_path, monke
         assert result.prefetch_accesses == whole.prefetch_accesses * repeat
 
 
-def test_none_and_next_line_leave_the_traced_requests_out(tmp_path):
-    trace = make_trace("bvh", 7, n_rays=50)
-    replayed = RunSource(write(trace, tmp_path / "x-bvh"))
-    wanted = [node for node, row in trace.node_kinds if row != 3]
+@pytest.mark.parametrize("kind", KINDS)
+def test_none_and_next_line_leave_the_traced_requests_out(kind, tmp_path):
+    trace = make_trace(kind, 7, n_rays=50)
+    replayed = RunSource(write(trace, tmp_path / f"x-{kind}"))
+    wanted = [node for node, is_request in trace.accesses if not is_request]
     for text in ("none", "next-line:miss"):
         [(nodes, labels)] = replayed.events(parse_prefetch(text))
         assert nodes.tolist() == wanted
@@ -172,9 +173,13 @@ def test_what_is_not_a_policy(text):
         ("bvh", [(0, 0), (1, 2)]),  # missed the root's box, goes on
         ("bvh", [(0, 1), (1, 1), (3, 1), (5, 2), (9, 2)]),  # a node that is not in the tree
         ("kdtree", [(0, 1), (1, 1), (3, 1), (5, 1), (7, 2)]),  # deeper than the tree
+        ("bvh64", [(0, 0), (3, 2)]),  # neither a child of the node read nor popped
+        ("bvh64", [(0, 1), (1, 0), (5, 2)]),  # popped what was not pushed
+        ("bvh64", [(0, 0), (1, 2), (2, 2)]),  # popped an empty stack
     ],
 )
 def test_a_trace_that_is_not_of_its_tree(kind, rows):
     level, n_prims = np.array([0, 1, 1, 2, 2, 3, 3, 3, 3]), np.ones(9, np.uint32)
+    parent = np.array([-1, 0, 0, 1, 1, 3, 3, 4, 4])
     with pytest.raises(ValueError, match="does not follow from the rows before it"):
-        StackReplay(parse_prefetch("stack"), kind == "kdtree", n_prims, level).events(*columns(rows))
+        StackReplay(parse_prefetch("stack"), NODE_FORMATS[kind], n_prims, level, parent).events(*columns(rows))

@@ -54,7 +54,7 @@ MUTATIONS = [
     # render
     Mutation("render: n_shadowed counts primary hits", "rtrace/render.py", "n_shadowed += chunk.n_shadowed", "n_shadowed += chunk.n_hits", RENDERED),
     Mutation("render: n_hits and n_shadow_rays swapped", "rtrace/render.py", "n_rays, n_hits, n_shadow, n_shadowed,\n", "n_rays, n_shadow, n_hits, n_shadowed,\n", RENDERED),
-    Mutation("render: pre-fetches count as accesses", "rtrace/render.py", "n_accesses - n_prefetches, n_prefetches, n_bytes", "n_accesses, n_prefetches, n_bytes", RENDERED),
+    Mutation("render: pre-fetches count as accesses", "rtrace/render.py", "n_accesses - n_prefetches - n_leaves, n_prefetches, n_bytes", "n_accesses - n_leaves, n_prefetches, n_bytes", RENDERED),
     Mutation("render: bytes without the picture's", "rtrace/render.py", "for file in path.iterdir())", "for file in path.glob('*.parquet'))", RENDERED),
     Mutation("render: hits as a share of all rays", "rtrace/render.py", "self.n_hits / (self.n_rays - self.n_shadow_rays)", "self.n_hits / self.n_rays", RENDERED),
     Mutation("render: shadowed as a share of the hits", "rtrace/render.py", "self.n_shadowed / self.n_shadow_rays if", "self.n_shadowed / self.n_hits if", RENDERED),

@@ -141,10 +141,13 @@ def pieces(events, line_bytes):
 
 
 class Unit:
-    """The pre-fetch unit: a stack of [node, requested before?] entries and the pre-fetch pointer."""
+    """The pre-fetch unit: a stack of [node, requested before?] entries and the pre-fetch pointer.
 
-    def __init__(self):
-        self.stack, self.pointer = [], 0
+    ``absent`` are the nodes that are nowhere in memory, so that there is nothing to request.
+    """
+
+    def __init__(self, absent=()):
+        self.stack, self.pointer, self.absent = [], 0, absent
 
     def push(self, node):
         self.stack.append([node, False])
@@ -161,26 +164,31 @@ class Unit:
         while self.pointer > 0 and (budget is None or len(requests) < budget):
             self.pointer -= 1
             entry = self.stack[self.pointer]
-            if not (once and entry[1]):
+            if not (once and entry[1]) and entry[0] not in self.absent:
                 entry[1] = True
                 requests.append(entry[0])
         return requests
 
 
 def derive(rows, tree_kind, n_prims, budget=None, per_triangle=False, once=False, empty=False):
-    """Return the (node, is_request) events of the demand rows (node, kind) under a policy of the pre-fetch unit."""
-    unit, last_kind, events = Unit(), None, []
+    """Return the (node, is_request) events of the demand rows (node, kind) under a policy of the pre-fetch unit.
+
+    In the kind ``bvh64`` leaves, which have triangles, are nowhere in memory.
+    """
+    absent = {node for node, n in enumerate(n_prims) if n and tree_kind == "bvh64"}
+    unit, last_kind, events = Unit(absent), None, []
     for node, kind in rows:
         if kind == 3:
             continue
         if node == 0:
-            unit = Unit()
+            unit = Unit(absent)
         elif last_kind == 1:
             unit.push(((node - 1) ^ 1) + 1)
-        elif last_kind == 2 or tree_kind == "bvh":
+        elif last_kind == 2 or tree_kind == "bvh" or (tree_kind == "bvh64" and [node] in [each[:1] for each in unit.stack]):
             while unit.pop() != node:
-                assert tree_kind == "kdtree"
-        events.append((node, False))
+                assert tree_kind != "bvh"
+        if node not in absent:
+            events.append((node, False))
         if kind == 2 and (empty or n_prims[node]):
             limit = budget * n_prims[node] if per_triangle else budget
             events += [(request, True) for request in unit.leaf(limit, once)]

@@ -26,11 +26,23 @@ class Trace:
 
     @property
     def node_bytes(self):
-        return 8 if self.kind == "kdtree" else 32
+        return {"kdtree": 8, "bvh": 32, "bvh64": 64}[self.kind]
 
     @property
     def node_kinds(self):
         return [(node, kind) for _, node, kind in self.rows]
+
+    @property
+    def accesses(self):
+        """The rows that access a node in memory: (node, whether it is a request)."""
+        return [(node, kind == 3) for node, kind in self.node_kinds if not (self.kind == "bvh64" and kind == 2)]
+
+    @property
+    def addresses(self):
+        """The address of every node as stored; that of a leaf which is nowhere in memory is -1."""
+        if self.kind != "bvh64":
+            return [self.node_bytes * node for node in range(len(self.parent))]
+        return [64 * (child // 2) if child else -1 for child in self.child]
 
 
 def make_tree(rng, max_level):
@@ -55,9 +67,11 @@ def make_trace(kind, seed, n_rays=20, max_level=6):
     """Return a random tree and rays through it; the kind-3 rows are those of an unlimited budget."""
     rng = random.Random(seed)
     parent, level, n_prims, child = make_tree(rng, max_level)
+    if kind == "bvh64":
+        n_prims = [n if below else max(n, 1) for n, below in zip(n_prims, child, strict=True)]
     rows = []
     for ray in range(n_rays):
-        walk = _kd_ray if kind == "kdtree" else _bvh_ray
+        walk = {"kdtree": _kd_ray, "bvh": _bvh_ray, "bvh64": _bvh64_ray}[kind]
         rows += [(ray, *row) for row in walk(rng, n_prims, child)]
     return Trace(kind, parent, level, n_prims, child, rows, n_rays)
 
@@ -101,6 +115,29 @@ def _bvh_ray(rng, n_prims, child):
         node = unit.pop()
 
 
+def _bvh64_ray(rng, n_prims, child):
+    unit, node = Unit({node for node, n in enumerate(n_prims) if n}), 0
+    while True:
+        if child[node]:
+            near, n_hit = child[node] + rng.randrange(2), rng.choice([0, 1, 1, 2, 2, 2])
+            yield node, int(n_hit == 2)
+            if n_hit == 2:
+                unit.push(((near - 1) ^ 1) + 1)
+            if n_hit:
+                node = near
+                continue
+        else:
+            yield node, 2
+            yield from ((request, 3) for request in unit.leaf(None))
+            if rng.random() < 0.1:  # a hit in this leaf
+                return
+        while unit.stack and rng.random() < 0.2:  # entries beyond the nearest hit
+            unit.pop()
+        if not unit.stack:
+            return
+        node = unit.pop()
+
+
 def make_footer(**changes):
     """Return a footer of nothing in particular with some entries changed."""
     entries = {
@@ -122,7 +159,7 @@ def write(trace, path, repeat=1, scene="bunny", stand_in=False):
     columns = {
         "node": np.arange(n), "parent": np.array(trace.parent), "level": np.array(trace.level),
         "axis": np.where(np.array(trace.child) > 0, 0, 3), "n_prims": np.array(trace.n_prims),
-        "address": np.arange(n) * trace.node_bytes,
+        "address": np.array(trace.addresses, np.int64).astype(np.uint64),
     }  # fmt: skip
     fields = SPLIT if trace.kind == "kdtree" else BOX
     columns |= {field.name: np.zeros(n) for field in fields}

@@ -20,6 +20,7 @@ class PrefetchUnit:
     def __init__(self):
         self.stack = []
         self.pointer = 0
+        self.is_requested = lambda node: True  # whether it is a node in memory
 
     def push(self, entry):
         # "When the traversal unit inserts a node into the stack, it assigns the same position to the pre-fetching pointer"
@@ -35,7 +36,8 @@ class PrefetchUnit:
         # "until every addresses in the stack is requested": the intersection test is assumed long enough
         while self.pointer > 0:
             self.pointer -= 1
-            yield self.stack[self.pointer][0]
+            if self.is_requested(self.stack[self.pointer][0]):
+                yield self.stack[self.pointer][0]
 
 
 def inverse(d):
@@ -131,7 +133,7 @@ def box_interval(lower, upper, seen, t_min, t_max):
 def traverse(tree, origin, direction, t_min=0.0, t_max=math.inf, any_hit=False):
     """Return (prim, t, [(node, kind), ...]) for one ray."""
     origin, direction = [float(x) for x in origin], [float(x) for x in direction]
-    walk = _traverse_bvh if tree.kind == "bvh" else _traverse_kdtree
+    walk = WALKS[tree.kind]
     if not all(map(math.isfinite, origin + direction)) or not any(direction):
         t_max = math.nan  # that is no ray
     best, events = Nearest(t_min, t_max), []
@@ -171,6 +173,42 @@ def _traverse_bvh(tree, origin, direction, best, any_hit, events):
             if _test_leaf(tree, child, count, origin, direction, best, any_hit):
                 return
         number = unit.pop()[0] if unit.stack else None
+
+
+def _traverse_bvh64(tree, origin, direction, best, any_hit, events):
+    """An inner node holds the boxes of its two children; leaves are told by their parent and are nowhere in memory."""
+    unit = PrefetchUnit()
+    unit.is_requested = lambda node: int(tree.nodes[node]["meta"]) & 3 != 3
+    seen = Seen(tree, origin, direction)
+    number = 0
+    while number is not None:
+        child, axis, count = (int(x) for x in (tree.nodes[number]["child"], tree.nodes[number]["meta"] & 3,
+                                               tree.nodes[number]["meta"] >> 2))  # fmt: skip
+        hit = []
+        if axis == 3:
+            events.append((number, LEAF))
+            if count:
+                events.extend((n, PREFETCH) for n in unit.requests())
+            if _test_leaf(tree, child, count, origin, direction, best, any_hit):
+                return
+        else:
+            for each in (child, child + 1):
+                corners = [tree.nodes[each][name].astype(float).tolist() for name in ("lower", "upper")]
+                enters, leaves = box_interval(*corners, seen, best.t_min, best.t)
+                if enters <= leaves:
+                    hit.append((enters, each))
+            hit.sort(reverse=seen.inverse[axis] < 0)  # by number along the axis
+            hit.sort(key=lambda each: each[0])  # by distance
+            events.append((number, PUSH if len(hit) == 2 else READ))
+            if len(hit) == 2:
+                unit.push((hit[1][1], hit[1][0]))
+        if hit:
+            number = hit[0][1]
+            continue
+        number = None
+        while unit.stack and number is None:
+            popped, enters = unit.pop()
+            number = None if enters > best.t else popped
 
 
 def _traverse_kdtree(tree, origin, direction, best, any_hit, events):
@@ -216,6 +254,9 @@ def _traverse_kdtree(tree, origin, direction, best, any_hit, events):
         else:
             events.append((number, READ))
         number, enters, leaves = visits[0]
+
+
+WALKS = {"kdtree": _traverse_kdtree, "bvh": _traverse_bvh, "bvh64": _traverse_bvh64}
 
 
 def events_of(packed):

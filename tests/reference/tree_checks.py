@@ -14,6 +14,7 @@ from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.strays import SLACK, make_room
 from rtrace.trees.tree import LEAF_AXIS, Tree, triangle_boxes
+from rtrace.trees.tree_cache import build_tree
 
 Builder = Callable[[np.ndarray], Tree]
 
@@ -25,6 +26,7 @@ BUILDERS: dict[str, Builder] = {
     "kd-tree, few references": lambda triangles: build_kdtree(triangles, c_trav=0.2, max_refs=2 * len(triangles)),
     "BVH": build_bvh,
     "BVH, binned": partial(build_bvh, builder="binned"),
+    "BVH, 64-byte nodes": partial(build_tree, kind="bvh64"),
 }
 
 # --- scenes ----------------------------------------------------------------------------------------------------------
@@ -239,7 +241,7 @@ def check_hits(tree: Tree, rays: Rays) -> int:
 
 def check_tree(tree: Tree) -> None:
     """Check the structure of a tree of either kind."""
-    if tree.kind == "bvh":
+    if tree.kind != "kdtree":
         check_bvh(tree)
     else:
         for _ in leaves(tree):

@@ -25,7 +25,7 @@ class ArraySource:
         self.name = self.key = name
         self.n_positions = self._all.size // per
         self.unit, self.row, self.grain = unit, row or unit, 1
-        self.node_bytes = 32
+        self.node_bytes, self.reads_leaves = 32, True
         self.nodes = {"parent": np.full(n_nodes, -1, np.int32), "level": np.zeros(n_nodes, np.uint16)}
         self.n_traced = 0
 

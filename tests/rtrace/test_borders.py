@@ -28,6 +28,7 @@ from rtrace.trees.tree_cache import build_tree
 from tests.reference.cache import Cache, pieces
 from tests.reference.traces import make_trace, write
 from tests.reference.traversal import events_of, traverse
+from traces.node_formats import NODE_FORMATS
 from traces.reader import open_run
 
 TREES = ("kdtree", "bvh")
@@ -85,7 +86,7 @@ def test_the_first_access_of_a_ray_goes_beyond_32_bits(tmp_path, monkeypatch):
         for _ in range(3):
             rays = {"ray": np.arange(2, dtype=np.uint32), "first": np.array([0, 1 << 31], np.uint64)}
             accesses = {"ray": Rows((1 << 31) + 5), "node": None, "kind": None}
-            yield Chunk(rays, accesses, np.arange(2), np.zeros((2, 3), np.uint8), 5, 2, 0, 0, True)
+            yield Chunk(rays, accesses, np.arange(2), np.zeros((2, 3), np.uint8), 5, 0, 2, 0, 0, True)
 
     monkeypatch.setattr(rendering, "RunWriter", Writer)
     monkeypatch.setattr(rendering, "chunks", chunks)
@@ -234,7 +235,7 @@ def test_a_stack_deeper_than_64(kind):
         start += count[i]
     assert most > 64
     table = node_table(tree)
-    unit = StackReplay(parse_prefetch("stack"), kind == "kdtree", table["n_prims"], table["level"])
+    unit = StackReplay(parse_prefetch("stack"), NODE_FORMATS[kind], *(table[name] for name in ("n_prims", "level", "parent")))
     nodes, kinds = (np.array(column) for column in zip(*events, strict=True))
     derived, labels = unit.events(nodes.astype(np.uint32), kinds.astype(np.uint8))
     assert derived.tolist() == nodes.tolist()

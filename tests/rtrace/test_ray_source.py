@@ -17,13 +17,13 @@ from rtrace.trees.tree_cache import build_tree
 from tests.cachesim.sampling.test_estimate import SHOOTINGS
 
 
-@pytest.fixture(scope="module")
-def needles():
+@pytest.fixture(scope="module", params=["bvh", "bvh64"])
+def needles(request):
     """Long triangles in a heap: a ray visits hundreds of nodes."""
     a, along = np.random.default_rng(3).uniform(-1, 1, (2, 600, 3))
     scene = scene_from_triangles(np.stack([a, a + 4 * along, a + 4 * along + 1e-4], axis=1), "needles")
     scene = seen_from(scene, Camera((9.0, 4.0, 5.0), (0.0, 0.0, 0.0), fov=12.0), None)
-    return scene, build_tree(scene.triangles, "bvh")
+    return scene, build_tree(scene.triangles, request.param)
 
 
 def looked_at(source, cuts):

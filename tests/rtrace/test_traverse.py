@@ -12,6 +12,7 @@ from rtrace.scenes.shapes import boxes, height_field, icosphere, soup
 from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
+from rtrace.trees.tree_cache import build_tree
 from tests.reference.traversal import Seen, events_of, traverse, triangle_hit
 
 BUILDERS = {
@@ -19,6 +20,8 @@ BUILDERS = {
     "kdtree level 3": lambda triangles: build_kdtree(triangles, max_level=3),
     "bvh sweep": build_bvh,
     "bvh binned": lambda triangles: build_bvh(triangles, builder="binned"),
+    "bvh64 sweep": lambda triangles: build_tree(triangles, "bvh64"),
+    "bvh64 binned": lambda triangles: build_tree(triangles, "bvh64", builder="binned"),
 }
 SCENES = {"icosphere": icosphere(2), "height field": height_field(8), "boxes": boxes(), "soup": soup(200, seed=1)}
 
@@ -125,7 +128,7 @@ def test_rays_in_the_planes_of_boxes_equal_brute_force(builder):
     assert 1000 < (truth.prim >= 0).sum() < 5900
 
 
-@pytest.mark.parametrize("builder", ["kdtree", "bvh sweep"])
+@pytest.mark.parametrize("builder", ["kdtree", "bvh sweep", "bvh64 sweep"])
 def test_no_leaks_through_vertices_and_edges(builder):
     triangles = icosphere(3)
     corners = triangles.reshape(-1, 3)
@@ -134,7 +137,7 @@ def test_no_leaks_through_vertices_and_edges(builder):
     assert (trace(BUILDERS[builder](triangles), rays).prim >= 0).all()
 
 
-@pytest.mark.parametrize("builder", ["kdtree", "bvh sweep"])
+@pytest.mark.parametrize("builder", ["kdtree", "bvh sweep", "bvh64 sweep"])
 def test_scale_mirror_and_axis_order_change_nothing(builder):
     triangles = soup(300, seed=3)
     rays = camera_rays(triangles, 500, seed=5)

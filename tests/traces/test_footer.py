@@ -100,11 +100,24 @@ def test_what_is_no_footer(text, sentence):
 
 
 @pytest.mark.parametrize(
-    "tree", [TreeFacts("x", 8), TreeFacts("kdtree", 0), TreeFacts("kdtree", 1 << 40)], ids=["kind", "no byte", "too large"]
+    ("entry", "value"),
+    [("tree.kind", "x"), ("tree.node_bytes", 0), ("tree.node_bytes", 1 << 40), ("tree.kind", "bvh64")],
+    ids=["kind", "no byte", "too large", "of a later version"],
 )
-def test_only_known_trees_are_read(tree):
-    with pytest.raises(RunError, match="only kdtree and bvh are known"):
-        parse_footer(replace(GOOD, tree=tree).to_json(), HERE)
+def test_only_known_trees_are_read(entry, value):
+    with pytest.raises(RunError, match="format version 1 has the kinds kdtree, bvh, with nodes of up to 2\\^20 B"):
+        parse_footer(changed(entry, value), HERE)
+
+
+def test_a_run_has_the_oldest_version_that_describes_it():
+    assert values()["format_version"] == 1
+    newer = replace(GOOD, tree=TreeFacts("bvh64", 64))
+    assert values(newer)["format_version"] == 2
+    assert parse_footer(newer.to_json(), HERE) == newer
+    assert newer.differences(GOOD) == ["tree"]
+    for version in (0, 3, True, "2", 1.5):
+        with pytest.raises(RunError, match=f"has format version {version}, and this program reads 1 to 2"):
+            parse_footer(changed("format_version", version), HERE)
 
 
 @pytest.mark.parametrize(
