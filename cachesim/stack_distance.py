@@ -13,6 +13,7 @@ The distances of a stream of demand accesses and prefetches are exact for both, 
 """
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,10 +25,16 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 from traces.reader import Run
 
-ZERO, ONE, TWO, SIX, TWELVE, SIXTY_THREE = (np.uint64(n) for n in (0, 1, 2, 6, 12, 63))
-ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+ZERO, ONE = np.uint64(0), np.uint64(1)  # indices are unsigned: a signed one is tested for wrap-around at every access
+#: A word holds 64 slots and a group 64 words: ``slot >> SHIFT`` is the word, ``slot & MASK`` the bit in it, and so on.
+SHIFT, MASK = np.uint64(6), np.uint64(63)
+ALL_LIVE = np.uint64(0xFFFFFFFFFFFFFFFF)
+_WORD_SLOTS, _GROUP_SLOTS = 64, 64 * 64
 
-#: Words, of 64 slots each, that are counted directly besides the current one. Measured: 4 and 8 took 1.03 times the time.
+#: Columns of the counts: demand accesses, prefetches.
+COLUMNS = np.uint64(2)
+
+#: Words that are counted directly besides the current one. Measured: 4 and 8 took 1.03 times the time.
 _NEAR = 6
 NEAR = np.uint64(_NEAR)
 
@@ -36,6 +43,16 @@ _MOST_SLOTS = 1 << 31  # slots are numbered with 32 bits
 
 # Entries of the state.
 NEXT, LIVE, LAST_ID = range(3)
+
+
+class Slots(NamedTuple):
+    """The slots of one stream."""
+
+    of_line: np.ndarray  # (n_ids,) uint32: 1 + slot of the last access to each line; 0: none
+    live: np.ndarray  # (n_words + _NEAR,) uint64; the last words stay 0
+    in_group: np.ndarray  # (n_words,) uint16
+    to_group: np.ndarray  # (n_groups,) uint32
+    state: np.ndarray  # (3,) int64
 
 
 class StackDistances:
@@ -49,41 +66,40 @@ class StackDistances:
 
     def __init__(self) -> None:
         self.counts = np.zeros((1, 2), np.int64)
-        self._slot = np.zeros(0, np.uint32)  # 1 + slot of the last access to each line; 0: none
-        self._live = np.zeros(_NEAR + 1, np.uint64)  # the last words stay 0
-        self._in_group = np.zeros(1, np.uint16)
-        self._to_group = np.zeros(1, np.uint32)
-        self._state = np.array([0, 0, -1], np.int64)
+        self._slots = _slots(np.zeros(0, np.uint32), 0, np.array([0, 0, -1], np.int64))
 
     def _make_room(self, n_ids: int) -> None:
         """Grow to room for line ids below ``n_ids``."""
-        n_slots = -(-min(_SLOTS_PER_LINE * n_ids, _MOST_SLOTS) // 4096) * 4096
+        n_slots = -(-min(_SLOTS_PER_LINE * n_ids, _MOST_SLOTS) // _GROUP_SLOTS) * _GROUP_SLOTS
         if n_slots < 2 * n_ids:
             raise NptraceError(f"{n_ids} lines are more than stack distances are counted for, 2^30; use longer lines")
-        renumber(self._slot, self._live, self._in_group, self._to_group, self._state)
-        counts, slot = np.zeros((n_ids + 1, 2), np.int64), np.zeros(n_ids, np.uint32)
-        counts[: self.counts.shape[0]], slot[: self._slot.size] = self.counts, self._slot
-        self.counts, self._slot = counts, slot
-        self._live = np.zeros(n_slots // 64 + _NEAR, np.uint64)
-        self._in_group = np.zeros(n_slots // 64, np.uint16)
-        self._to_group = np.zeros(n_slots // 4096, np.uint32)
-        pack(self._live, self._in_group, self._to_group, self._state)
+        renumber(self._slots)
+        counts, of_line = np.zeros((n_ids + 1, 2), np.int64), np.zeros(n_ids, np.uint32)
+        counts[: len(self.counts)], of_line[: self._slots.of_line.size] = self.counts, self._slots.of_line
+        self.counts = counts
+        self._slots = _slots(of_line, n_slots, self._slots.state)
+        pack(self._slots)
 
     def step(self, ids: np.ndarray, labels: np.ndarray, n_ids: int) -> None:
         """Take the next (id uint32, label uint8) pairs; ids are dense and below ``n_ids``."""
-        if n_ids > self._slot.size:
-            self._make_room(max(n_ids, 2 * self._slot.size, 1024))
-        arrays = (self._slot, self._live, self._in_group, self._to_group, self._state)
-        done = count_distances(ids, labels, 0, *arrays, self.counts.reshape(-1))
+        if n_ids > self._slots.of_line.size:
+            self._make_room(max(n_ids, 2 * self._slots.of_line.size, 1024))
+        done = count_distances(ids, labels, 0, self._slots, self.counts.reshape(-1))
         while done < ids.size:
-            renumber(*arrays)
-            pack(*arrays[1:])
-            done = count_distances(ids, labels, done, *arrays, self.counts.reshape(-1))
+            renumber(self._slots)
+            pack(self._slots)
+            done = count_distances(ids, labels, done, self._slots, self.counts.reshape(-1))
 
     def misses(self, n_lines: int) -> tuple[int, int]:
         """Return the misses of demand accesses and of prefetches in the fully associative LRU cache of ``n_lines`` lines."""
         demand, prefetch = self.counts[0] + self.counts[n_lines + 1 :].sum(axis=0)
         return int(demand), int(prefetch)
+
+
+def _slots(of_line: np.ndarray, n_slots: int, state: np.ndarray) -> Slots:
+    n_words, n_groups = n_slots // _WORD_SLOTS, n_slots // _GROUP_SLOTS
+    live, in_group = np.zeros(n_words + _NEAR, np.uint64), np.zeros(n_words, np.uint16)
+    return Slots(of_line, live, in_group, np.zeros(n_groups, np.uint32), state)
 
 
 def stack_distances(
@@ -137,7 +153,7 @@ def n_bits(x):
 @kernel(forceinline=True)
 def word_of_newest(slot):
     """Return the word of the slot before this one, the first word if there is none."""
-    return (slot - ONE) >> SIX if slot else ZERO
+    return (slot - ONE) >> SHIFT if slot else ZERO
 
 
 @kernel(forceinline=True)
@@ -147,22 +163,24 @@ def enter_sums(word, live, in_group, to_group):
         return
     before = word - ONE
     n = np.uint64(in_group[before]) + n_bits(live[before])
-    if word & SIXTY_THREE:
+    if word & MASK:
         in_group[word] = n
     else:
         in_group[word] = 0
-        to_group[word >> SIX] = np.uint64(to_group[before >> SIX]) + n
+        to_group[word >> SHIFT] = np.uint64(to_group[before >> SHIFT]) + n
 
 
-@kernel
-def count_distances(ids, labels, start, slot_of, live, in_group, to_group, state, counts):
+# Without counting references (_nrt=False): the kernels take arrays out of a tuple.
+@kernel(_nrt=False)
+def count_distances(ids, labels, start, slots, counts):
     """Count the distances of ids[start:] until all are done or the slots are used up; return the first not done.
 
     The sums hold for the words that are at least ``NEAR`` before the current one. The current word is kept in a register and
     is 0 in ``live``: a write and a read of the same word for every access took 1.2 times the time.
     """
+    slot_of, live, in_group, to_group, state = slots
     slot, n_live, last_id = np.uint64(state[NEXT]), np.uint64(state[LIVE]), state[LAST_ID]
-    n_slots = np.uint64(in_group.size) << SIX
+    n_slots = np.uint64(in_group.size) << SHIFT
     here = word_of_newest(slot)
     current = live[here]
     live[here] = ZERO
@@ -171,12 +189,12 @@ def count_distances(ids, labels, start, slot_of, live, in_group, to_group, state
         line_id, is_prefetch = np.uint64(ids[i]), np.uint64(labels[i] >= PREFETCH)
         i += 1
         if np.int64(line_id) == last_id:
-            counts[TWO + is_prefetch] += 1
+            counts[COLUMNS + is_prefetch] += 1  # distance 1
             continue
         last_id = np.int64(line_id)
-        if slot >> SIX != here:
+        if slot >> SHIFT != here:
             live[here] = current
-            here, current = slot >> SIX, ZERO
+            here, current = slot >> SHIFT, ZERO
             if here >= NEAR:
                 enter_sums(here - NEAR, live, in_group, to_group)
         old = np.uint64(slot_of[line_id])
@@ -185,7 +203,7 @@ def count_distances(ids, labels, start, slot_of, live, in_group, to_group, state
             n_live += ONE
         else:
             old -= ONE
-            word, bit = old >> SIX, old & SIXTY_THREE
+            word, bit = old >> SHIFT, old & MASK
             # A branch for the current word, none for the others: 0.75 to 0.9 of the time of no branch or of a loop.
             if word == here:
                 distance = n_bits(current >> bit)
@@ -198,12 +216,12 @@ def count_distances(ids, labels, start, slot_of, live, in_group, to_group, state
                     for k in range(1, _NEAR):
                         distance += n_bits(live[word + np.uint64(k)])
                 else:
-                    group = word >> SIX
+                    group = word >> SHIFT
                     older = np.uint64(to_group[group]) + np.uint64(in_group[word]) + n_bits(bits & ((ONE << bit) - ONE))
                     distance = n_live - older
                     remove(word, here - NEAR, in_group, to_group)
-        counts[TWO * distance + is_prefetch] += 1
-        current |= ONE << (slot & SIXTY_THREE)
+        counts[COLUMNS * distance + is_prefetch] += 1
+        current |= ONE << (slot & MASK)
         slot += ONE
         slot_of[line_id] = slot
     live[here] = current
@@ -214,8 +232,8 @@ def count_distances(ids, labels, start, slot_of, live, in_group, to_group, state
 @kernel(forceinline=True)
 def remove(word, last, in_group, to_group):
     """Take one live slot of a word from the sums of the words after it, up to the last that has sums."""
-    group, last_group = word >> SIX, last >> SIX
-    end = last if group == last_group else (group << SIX) | SIXTY_THREE
+    group, last_group = word >> SHIFT, last >> SHIFT
+    end = last if group == last_group else (group << SHIFT) | MASK
     word += ONE
     while word <= end:
         in_group[word] -= 1
@@ -226,30 +244,32 @@ def remove(word, last, in_group, to_group):
         group += ONE
 
 
-@kernel
-def renumber(slot_of, live, in_group, to_group, state):
+@kernel(_nrt=False)
+def renumber(slots):
     """Number the live slots 0, 1, 2 ... in order of time."""
+    slot_of, live, in_group, to_group, state = slots
     here = word_of_newest(np.uint64(state[NEXT]))
     for word in range(here - NEAR + ONE if here >= NEAR else ZERO, here + ONE):
         enter_sums(word, live, in_group, to_group)
     for line_id in range(slot_of.size):
         slot = np.uint64(slot_of[line_id])
         if slot:
-            word, bit = (slot - ONE) >> SIX, (slot - ONE) & SIXTY_THREE
+            word, bit = (slot - ONE) >> SHIFT, (slot - ONE) & MASK
             older = n_bits(live[word] & ((ONE << bit) - ONE))
-            slot_of[line_id] = np.uint64(to_group[word >> SIX]) + np.uint64(in_group[word]) + older + ONE
+            slot_of[line_id] = np.uint64(to_group[word >> SHIFT]) + np.uint64(in_group[word]) + older + ONE
 
 
-@kernel
-def pack(live, in_group, to_group, state):
+@kernel(_nrt=False)
+def pack(slots):
     """Set the bits and sums of slots that are all live, as many as there are lines."""
+    _, live, in_group, to_group, state = slots
     n = np.uint64(state[LIVE])
-    full = n >> SIX
+    full = n >> SHIFT
     for word in range(np.uint64(live.size)):
-        live[word] = ALL if word < full else ZERO
-    live[full] = (ONE << (n & SIXTY_THREE)) - ONE
+        live[word] = ALL_LIVE if word < full else ZERO
+    live[full] = (ONE << (n & MASK)) - ONE
     for word in range(np.uint64(in_group.size)):
-        in_group[word] = (word & SIXTY_THREE) << SIX
+        in_group[word] = (word & MASK) << SHIFT
     for group in range(np.uint64(to_group.size)):
-        to_group[group] = group << TWELVE
+        to_group[group] = group << (SHIFT + SHIFT)
     state[NEXT] = n

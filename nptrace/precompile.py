@@ -15,7 +15,8 @@ import numpy as np
 from cachesim.config import CacheConfig
 from cachesim.layout import addresses
 from cachesim.replay import replay
-from cachesim.sampling.estimate import Target, estimate
+from cachesim.sampling.estimate import estimate
+from cachesim.sampling.target import Target
 from cachesim.sweep import sweep
 from nptrace_base import compiling
 from rtrace.checks.embree import compare

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from rtrace.checks.cases.case import Case, aimed, exact_case, known_case
 from rtrace.checks.hard_cases import CASES as CASES_OF_CHECK
-from rtrace.checks.hard_cases import Case, aimed, exact_case, known_case
 from rtrace.scenes.shapes import icosphere
 from rtrace.traverse import make_rays
 

@@ -31,7 +31,8 @@ SHORT, ACCESSES_PER_LINE = 64, 12
 _CHUNK = 4096  # positions of an exact run traced at a time
 
 #: Columns of what is counted without doubt in a unit.
-ACCESSES, PREFETCHES, RAYS = range(3)
+N_COUNTS = 3
+ACCESSES, PREFETCHES, RAYS = range(N_COUNTS)
 
 
 class Stretch(Protocol):

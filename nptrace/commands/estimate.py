@@ -16,7 +16,8 @@ from nptrace.progress import progress_bar
 from nptrace.scene_options import Picture, load_scenes, picture_options, tree_params
 
 if TYPE_CHECKING:
-    from cachesim.sampling.estimate import Estimated, Target
+    from cachesim.sampling.estimate import Estimated
+    from cachesim.sampling.target import Target
     from rtrace.scenes.scene import Scene
 
 
@@ -75,7 +76,7 @@ def estimate(
     """
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import caches
-    from cachesim.sampling.estimate import parse_target
+    from cachesim.sampling.target import parse_target
     from nptrace_base.tables import print_tables
 
     target = parse_target(error)

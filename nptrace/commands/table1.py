@@ -70,7 +70,7 @@ def estimated_table1(error: str, pixels: str, seed: int, form: str, output: Path
     """Write Table I estimated for the four scenes and both trees."""
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import SCENES, TREES, caches
-    from cachesim.sampling.estimate import parse_target
+    from cachesim.sampling.target import parse_target
 
     target = parse_target(error)
     if form == "csv":

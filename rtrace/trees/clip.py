@@ -5,6 +5,8 @@ magnitude, a rank is plus or minus that magnitude). So -0.0 and +0.0 are one ran
 comparing, sorting and rounding outward are integer arithmetic.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nptrace_base.jit import kernel
@@ -18,6 +20,14 @@ SECOND, THIRD, UPPER = POINT, np.uint64(6), POINT
 #: Room for a polygon, in numbers. A convex one has 3 vertices and one more per plane that cuts it (6 of them); rounding can
 #: bend a thin one so that a plane cuts it more than twice, which adds half its vertices at most: 3 * 1.5**6 < 36.
 POLYGON = np.uint64(3 * 36)
+
+
+class PartBounds(NamedTuple):
+    """Bounds of triangles cut at a plane, as int32 ranks: six a triangle, its lower, then its upper corner."""
+
+    whole: np.ndarray  # of the part in the cell ...
+    below: np.ndarray  # ... and of its parts on either side of the plane
+    above: np.ndarray
 
 
 @kernel
@@ -107,8 +117,9 @@ def _write_bounds(points, box, slack, lo, hi, out, at):
     out[at], out[at + UPPER] = lo, hi
 
 
-@kernel
-def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, below, above, points, slack=0.0):
+# Without counting references (_nrt=False): unpacking the tuples would count one for each array, at every triangle.
+@kernel(_nrt=False)
+def split_bounds(vertices, triangle, cell, plane, bounds, at, points, slack=0.0):
     """Clip one triangle to a cell, cut it at a plane and bound both parts.
 
     Parameters
@@ -117,27 +128,28 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
         All triangles.
     triangle : int
         Which one.
-    cell : float64 array
-        ``cell[corner : corner + 6]``: the cell, lower, then upper corner.
-    axis, split : int, int
-        The plane; ``split`` is a rank.
-    bounds : int32 array
-        ``bounds[at : at + 6]``: ranks of the lower, then the upper corner of the triangle's bounds in the cell.
-    below, above : int32 arrays
-        Output at the same place: the bounds of the two parts, inside ``bounds`` and on their side of the plane.
+    cell : (float64 array, int)
+        Boxes, and where the cell's lower, then its upper corner starts in them.
+    plane : (int, int)
+        Its axis, and its position as a rank.
+    bounds, at : PartBounds, int
+        Input: ``whole[at : at + 6]``, the triangle's bounds in the cell. Output at the same place of ``below`` and ``above``:
+        the bounds of the two parts, inside ``whole`` and on their side of the plane.
     points : (3 POLYGON,) float64
         Scratch.
     slack : float
         How far around the triangle its part reaches: 0, but for strays (``rtrace.trees.strays``).
     """
-    corner, axis, at, v = np.uint64(corner), np.uint64(axis), np.uint64(at), CORNERS * np.uint64(triangle)
+    boxes, corner, axis, split = cell[0], np.uint64(cell[1]), np.uint64(plane[0]), plane[1]
+    whole, below, above = bounds
+    at, v = np.uint64(at), CORNERS * np.uint64(triangle)
     for k in range(CORNERS):
         points[k] = vertices[v + k]
     n, first, out = AXES, ZERO, POLYGON  # three points
     for k in range(AXES):
         a, b, c = vertices[v + k], vertices[v + SECOND + k], vertices[v + THIRD + k]
         for side in range(-1, 2, 2):
-            face = cell[corner + k] - slack if side > 0 else cell[corner + UPPER + k] + slack
+            face = boxes[corner + k] - slack if side > 0 else boxes[corner + UPPER + k] + slack
             if min(a, b, c) < face if side > 0 else max(a, b, c) > face:
                 n = _cut(points, first, n, k, face, side, out)
                 first, out = out, first
@@ -172,6 +184,6 @@ def split_bounds(vertices, triangle, cell, corner, axis, split, bounds, at, belo
             _cross(points, a, b, axis, low_plane, crossing)
             _include(points, crossing, in_above)
     for k in range(AXES):
-        lo, hi = np.int64(bounds[at + k]), np.int64(bounds[at + UPPER + k])
+        lo, hi = np.int64(whole[at + k]), np.int64(whole[at + UPPER + k])
         _write_bounds(points, in_below + k, slack, lo, min(hi, split) if k == axis else hi, below, at + k)
         _write_bounds(points, in_above + k, slack, max(lo, split) if k == axis else lo, hi, above, at + k)

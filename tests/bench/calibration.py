@@ -20,8 +20,10 @@ import numpy as np
 
 from cachesim.config import CacheConfig
 from cachesim.report.table1 import SCENES, caches
-from cachesim.sampling.estimate import QUANTITIES, TARGETED, Sampler, Target, parse_target, ratios_of
+from cachesim.sampling.quantities import QUANTITIES, TARGETED, ratios_of
+from cachesim.sampling.sampler import Sampler
 from cachesim.sampling.strata import Design, weights
+from cachesim.sampling.target import Target, parse_target
 from cachesim.sampling.two_phase import value_of
 from cachesim.sampling.unit_counts import UnitCounts
 from rtrace.ray_source import RayUnits

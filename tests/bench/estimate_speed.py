@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from cachesim.report.table1 import SCENES, caches
-from cachesim.sampling.estimate import estimate, parse_target
+from cachesim.sampling.estimate import estimate
+from cachesim.sampling.target import parse_target
 from cachesim.sampling.unit_counts import UnitCounts
 from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting

@@ -25,10 +25,13 @@ from cachesim.layout import addresses
 from cachesim.lines import NodeLines
 from cachesim.report.table1 import SCENES, caches
 from cachesim.sampling.cold_start import ALONE, KnownReplay, count_known
-from cachesim.sampling.estimate import OF_THE_RUN, QUANTITIES, Sampler, estimate, parse_target, ratios_of
+from cachesim.sampling.estimate import estimate
+from cachesim.sampling.quantities import OF_THE_RUN, QUANTITIES, ratios_of
+from cachesim.sampling.sampler import Sampler
 from cachesim.sampling.set_sampling import in_classes
 from cachesim.sampling.shards import HashedDistances
 from cachesim.sampling.strata import Design, weights
+from cachesim.sampling.target import parse_target
 from cachesim.sampling.two_phase import LIKELY, value_of
 from cachesim.sampling.unit_counts import UnitCounts
 from cachesim.source import demand_only

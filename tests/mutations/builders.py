@@ -5,17 +5,18 @@
 
 from tests.mutations.mutation import Mutation
 
-KT, CL, BV, BN = "rtrace/trees/kdtree.py", "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/binned_sah.py"
+KT, KE, CL = "rtrace/trees/kdtree.py", "rtrace/trees/kd_events.py", "rtrace/trees/clip.py"
+BV, BN = "rtrace/trees/bvh.py", "rtrace/trees/binned_sah.py"
 STEPS = "tests/rtrace/trees/test_builders.py::test_every_split_counts_what_it_parts"
 MEMORY = "tests/rtrace/trees/test_builders.py::test_memory_that_was_never_set_is_never_read"
 LISTED = "tests/rtrace/trees/test_builders.py::test_leaves_list_exactly_what_reaches_into_them"
 DEEP = "tests/rtrace/trees/test_builders.py::test_trees_deeper_than_64_find_what_brute_force_finds"
 
 MUTATIONS = [
-    Mutation("builders: what ends at the plane counts above it too", KT, "n_above -= kind != _START", "n_above -= kind == _PLANAR", STEPS),
-    Mutation("builders: what lies in the plane below counts above it too", KT, "n_above -= kind != _START", "n_above -= kind == _END", STEPS),
-    Mutation("builders: what straddles the plane does not count below it", KT, "n_below += kind != _END", "n_below += kind != _START", STEPS),
-    Mutation("builders: one triangle too many is taken above now and then", KT, "    return n_below, n_above\n", "    return n_below, n_above + (n_above > 9)\n", STEPS),
+    Mutation("builders: what ends at the plane counts above it too", KE, "n_above -= kind != START", "n_above -= kind == PLANAR", STEPS),
+    Mutation("builders: what lies in the plane below counts above it too", KE, "n_above -= kind != START", "n_above -= kind == END", STEPS),
+    Mutation("builders: what straddles the plane does not count below it", KE, "n_below += kind != END", "n_below += kind != START", STEPS),
+    Mutation("builders: one triangle too many is taken above now and then", KE, "    return n_below, n_above\n", "    return n_below, n_above + (n_above > 9)\n", STEPS),
     Mutation("builders: the part above a plane begins below it", CL, "max(lo, split) if k == axis else lo", "lo", STEPS),
     Mutation("builders: where rounding leaves nothing, nothing stays", CL, "        if inner_lo <= inner_hi:\n            lo, hi = inner_lo, inner_hi\n", "        lo, hi = inner_lo, max(inner_lo, inner_hi)\n", LISTED),
     Mutation("builders: a right side's area that was never set", BV, "for i in range(end - 1, start, -1):", "for i in range(end - 1, start + 1, -1):", MEMORY),

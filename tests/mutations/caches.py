@@ -10,7 +10,8 @@ SWEEP, OPT = "tests/cachesim/test_sweep.py", "tests/cachesim/test_opt.py"
 FORMAT, FAULTS, FUZZ = "tests/traces/test_format.py", "tests/nptrace/test_faults.py", "tests/test_fuzz.py"
 SW, LE, RE, FI = "cachesim/sweep.py", "cachesim/all_associativity.py", "cachesim/stack_distance.py", "cachesim/filter.py"
 LI, NU, EX, RP = "cachesim/replacement.py", "cachesim/next_use.py", "cachesim/cache.py", "cachesim/replay.py"
-KT, CL, BV, SO = "rtrace/trees/kdtree.py", "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/merge_sort.py"
+KT, KE, KS = "rtrace/trees/kdtree.py", "rtrace/trees/kd_events.py", "rtrace/trees/kd_sweep.py"
+CL, BV, SO = "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/merge_sort.py"
 
 MUTATIONS = [
     # --- sorting ---
@@ -19,23 +20,23 @@ MUTATIONS = [
     Mutation("sorting: insertion stops one key early", SO, "for i in range(begin + 1, min(begin + _RUN, n)):", "for i in range(begin + 1, min(begin + _RUN, n - 1)):", SORT),
     Mutation("sorting: keys beyond the n-th are sorted too", SO, "end = min(begin + 2 * run, n)", "end = min(begin + 2 * run, keys.size)", SORT),
     # --- kd-tree ---
-    Mutation("kd-tree: half the area leaves a face out", KT, "return dx * dy + dy * dz + dz * dx", "return dx * dy + dy * dz", KD),
-    Mutation("kd-tree: traversal costs nothing", KT, "fixed = trav * (cap + (hi - lo) * rim)", "fixed = 0.0 * (cap + (hi - lo) * rim)", KD),
-    Mutation("kd-tree: no bonus for an empty lower child", KT, "trial = empty_bonus * (fixed + (cap + (hi - first) * rim) * n)", "trial = fixed + (cap + (hi - first) * rim) * n", KD),
-    Mutation("kd-tree: no bonus for an empty upper child", KT, "trial = empty_bonus * (fixed + (cap + (last - lo) * rim) * n)", "trial = fixed + (cap + (last - lo) * rim) * n", KD),
-    Mutation("kd-tree: a plane at the lower border of the cell is tried", KT, "if trial < cost and first > lo:", "if trial < cost and first >= lo:", KD),
-    Mutation("kd-tree: triangles that end at a plane count above it", KT, "above -= kind == _END", "above -= 0", KD),
-    Mutation("kd-tree: triangles that start do not count below", KT, "below += kind == _START", "below += 0", KD),
-    Mutation("kd-tree: one planar triangle of a run counts", KT, "planar += 1\n", "planar = np.int64(1)\n", KD),
-    Mutation("kd-tree: straddlers stay below", KT, "_BOTH if kind == _START else _BELOW", "_BELOW", KD),
-    Mutation("kd-tree: what ends above the plane is taken above", KT, "side[triangle] if event & _KIND == _END else _ABOVE", "_ABOVE", KD),
-    Mutation("kd-tree: straddlers keep their upper bound", KT, "            if kind != _START:\n                bounds[at + _UPPER] = event >> 32", "            if kind == _PLANAR:\n                bounds[at + _UPPER] = event >> 32", KD),
-    Mutation("kd-tree: a part that has become flat keeps two events", KT, "n += 0 if flat and kind == _END else 1", "n += 1", KD),
-    Mutation("kd-tree: both ends of a part at its lower bound", KT, "((hi if kind == _END else lo) << 32)", "(lo << 32)", KD),
-    Mutation("kd-tree: merged events in the order of arrival", KT, "if i >= begin and events[axis, i] > fresh[j]:", "if i >= begin and events[axis, i] > fresh[0]:", KD),
-    Mutation("kd-tree: leaves list the ends of triangles too", KT, "n += events[0, i] & _KIND != _END", "n += 1", KD),
-    Mutation("kd-tree: the upper child takes the lower one's bounds", KT, "n_fresh = _renew(cut, k, n_cut, slot, above, fresh)", "n_fresh = _renew(cut, k, n_cut, slot, below, fresh)", KD),
-    Mutation("kd-tree: the lower child's box reaches up to its parent's", KT, "boxes[_BOX * (cell + 1) + _UPPER + axis] = split", "boxes[6 * cell + 9 + axis] = boxes[6 * cell + 3 + axis]", KD),
+    Mutation("kd-tree: half the area leaves a face out", KS, "return dx * dy + dy * dz + dz * dx", "return dx * dy + dy * dz", KD),
+    Mutation("kd-tree: traversal costs nothing", KS, "fixed = trav * (cap + (hi - lo) * rim)", "fixed = 0.0 * (cap + (hi - lo) * rim)", KD),
+    Mutation("kd-tree: no bonus for an empty lower child", KS, "trial = empty_bonus * (fixed + (cap + (hi - first) * rim) * n)", "trial = fixed + (cap + (hi - first) * rim) * n", KD),
+    Mutation("kd-tree: no bonus for an empty upper child", KS, "trial = empty_bonus * (fixed + (cap + (last - lo) * rim) * n)", "trial = fixed + (cap + (last - lo) * rim) * n", KD),
+    Mutation("kd-tree: a plane at the lower border of the cell is tried", KS, "if trial < cost and first > lo:", "if trial < cost and first >= lo:", KD),
+    Mutation("kd-tree: triangles that end at a plane count above it", KS, "above -= kind == END", "above -= 0", KD),
+    Mutation("kd-tree: triangles that start do not count below", KS, "below += kind == START", "below += 0", KD),
+    Mutation("kd-tree: one planar triangle of a run counts", KS, "planar += 1\n", "planar = np.int64(1)\n", KD),
+    Mutation("kd-tree: straddlers stay below", KE, "BOTH if kind == START else BELOW", "BELOW", KD),
+    Mutation("kd-tree: what ends above the plane is taken above", KE, "side[triangle] if event & KIND == END else ABOVE", "ABOVE", KD),
+    Mutation("kd-tree: straddlers keep their upper bound", KE, "            if kind != START:\n                bounds[at + UPPER] = event >> 32", "            if kind == PLANAR:\n                bounds[at + UPPER] = event >> 32", KD),
+    Mutation("kd-tree: a part that has become flat keeps two events", KE, "n += 0 if flat and kind == END else 1", "n += 1", KD),
+    Mutation("kd-tree: both ends of a part at its lower bound", KE, "((hi if kind == END else lo) << 32)", "(lo << 32)", KD),
+    Mutation("kd-tree: merged events in the order of arrival", KE, "if i >= begin and events[axis, i] > fresh[j]:", "if i >= begin and events[axis, i] > fresh[0]:", KD),
+    Mutation("kd-tree: leaves list the ends of triangles too", KE, "n += events[0, i] & KIND != END", "n += 1", KD),
+    Mutation("kd-tree: the upper child takes the lower one's bounds", KT, "straddlers.slot, bounds.above, fresh)", "straddlers.slot, bounds.below, fresh)", KD),
+    Mutation("kd-tree: the lower child's box reaches up to its parent's", KT, "boxes[BOX * cell + axis] = boxes[BOX * (cell + 1) + UPPER + axis] = value(place)", "boxes[BOX * cell + axis] = value(place)", KD),
     Mutation("kd-tree: the deepest level is not noted", KT, "state[_DEEPEST] = max(state[_DEEPEST], level + 1)", "state[_DEEPEST] = max(state[_DEEPEST], level)", KD),
     Mutation("kd-tree: split although a leaf is as cheap", KT, "best = (half_area * n, np.int64(0)", "best = (half_area * n * 1.01 + 1e-30, np.int64(0)", KD),
     # --- clipping ---
@@ -87,7 +88,7 @@ MUTATIONS = [
     Mutation("levels: the same sets at every level", LE, "mask += mask + ONE", "mask += ZERO", f"{SWEEP} -k cell"),
     Mutation("levels: the mask leaves the line's own lane", LE, "builder.sub(ir.Constant(i64, LANES), lane)", "builder.sub(ir.Constant(i64, LANES), builder.lshr(lane, ir.Constant(i64, 1)))", f"{SWEEP} -k cell"),
     # --- stack distances ---
-    Mutation("reuse: an immediate repeat counts as distance 2", RE, "counts[TWO + is_prefetch] += 1", "counts[TWO * TWO + is_prefetch] += 1", f"{SWEEP} -k distance"),
+    Mutation("reuse: an immediate repeat counts as distance 2", RE, "counts[COLUMNS + is_prefetch] += 1", "counts[COLUMNS * COLUMNS + is_prefetch] += 1", f"{SWEEP} -k distance"),
     Mutation("reuse: a new line is not counted live", RE, "            n_live += ONE\n", "            n_live += ZERO\n", f"{SWEEP} -k distance"),
     Mutation("reuse: the old slot stays live in the current word", RE, "                current ^= ONE << bit\n", "", f"{SWEEP} -k distance"),
     Mutation("reuse: the old slot stays live in an older word", RE, "live[word] = bits ^ (ONE << bit)", "live[word] = bits", f"{SWEEP} -k distance"),
@@ -95,12 +96,12 @@ MUTATIONS = [
     Mutation("reuse: far distances off by the line itself", RE, "distance = n_live - older", "distance = n_live - older - ONE", f"{SWEEP} -k distance"),
     Mutation("reuse: sums keep removed slots", RE, "                    remove(word, here - NEAR, in_group, to_group)\n", "", f"{SWEEP} -k distance"),
     Mutation("reuse: sums of later groups keep removed slots", RE, "        to_group[group] -= 1\n", "        to_group[group] -= 0\n", f"{SWEEP} -k distance"),
-    Mutation("reuse: the sum of a new group starts at nothing", RE, "to_group[word >> SIX] = np.uint64(to_group[before >> SIX]) + n", "to_group[word >> SIX] = n", f"{SWEEP} -k distance"),
-    Mutation("reuse: slots are not numbered anew", RE, "            renumber(*arrays)\n            pack", "            pack", f"{SWEEP} -k distance"),
-    Mutation("reuse: one slot too few is packed", RE, "live[full] = (ONE << (n & SIXTY_THREE)) - ONE", "live[full] = (ONE << (n & SIXTY_THREE)) >> ONE", f"{SWEEP} -k distance"),
+    Mutation("reuse: the sum of a new group starts at nothing", RE, "to_group[word >> SHIFT] = np.uint64(to_group[before >> SHIFT]) + n", "to_group[word >> SHIFT] = n", f"{SWEEP} -k distance"),
+    Mutation("reuse: slots are not numbered anew", RE, "            renumber(self._slots)\n            pack", "            pack", f"{SWEEP} -k distance"),
+    Mutation("reuse: one slot too few is packed", RE, "live[full] = (ONE << (n & MASK)) - ONE", "live[full] = (ONE << (n & MASK)) >> ONE", f"{SWEEP} -k distance"),
     Mutation("reuse: first accesses hit", RE, "self.counts[0] + self.counts[n_lines + 1 :].sum(axis=0)", "self.counts[n_lines + 1 :].sum(axis=0)", f"{SWEEP} -k distance"),
     Mutation("reuse: a cache of n lines misses at distance n", RE, "self.counts[n_lines + 1 :]", "self.counts[n_lines:]", f"{SWEEP} -k distance"),
-    Mutation("reuse: counts are lost when there is more room", RE, "counts[: self.counts.shape[0]], slot[: self._slot.size] = self.counts, self._slot", "slot[: self._slot.size] = self._slot", f"{SWEEP} -k distance"),
+    Mutation("reuse: counts are lost when there is more room", RE, "counts[: len(self.counts)], of_line[: self._slots.of_line.size] = self.counts, self._slots.of_line", "of_line[: self._slots.of_line.size] = self._slots.of_line", f"{SWEEP} -k distance"),
     # --- filter ---
     Mutation("filter: the last line of any set is dropped", FI, "s = np.uint64(set_of(np.int64(line), newest.n_sets, newest.mask))", "s = np.uint64(set_of(np.int64(line), newest.n_sets, newest.mask)) // np.uint64(2)", f"{SWEEP} -k filter"),
     Mutation("filter: nothing is remembered", FI, "    newest.tags[s] = tag\n", "", f"{SWEEP} -k filter"),
@@ -147,7 +148,7 @@ MUTATIONS = [
     Mutation("regression: the second phase has no variance", "cachesim/sampling/two_phase.py", "variance = between_strata(means, squares, freedom, factor) + second", "variance = between_strata(means, squares, freedom, factor)", "tests/cachesim/sampling/test_two_phase.py"),
     Mutation("regression: open misses leave the interval as it is", "cachesim/sampling/two_phase.py", "Interval(float(value), float(widths[k]) + chance", "Interval(float(value), chance", "tests/cachesim/sampling/test_two_phase.py"),
     Mutation("regression: strata all weigh the same", "cachesim/sampling/two_phase.py", "weight = (sizes / drawn)[stratum]", "weight = np.full(len(units), sizes.sum() / drawn.sum())", "tests/cachesim/sampling/test_two_phase.py"),
-    Mutation("estimate: the first look ends the search", "cachesim/sampling/estimate.py", "LEAST_MISSES = 100", "LEAST_MISSES = 0", "tests/cachesim/sampling/test_estimate.py"),
-    Mutation("estimate: never more than a part of the run", "cachesim/sampling/estimate.py", "MOST_SHARE = 0.6", "MOST_SHARE = 60.0", "tests/cachesim/sampling/test_estimate.py"),
-    Mutation("estimate: open misses of the long warm-up are no reason", "cachesim/sampling/estimate.py", "_SETTLED = 0.25", "_SETTLED = 1e9", "tests/cachesim/sampling/test_estimate.py"),
+    Mutation("estimate: the first look ends the search", "cachesim/sampling/sampler.py", "LEAST_MISSES = 100", "LEAST_MISSES = 0", "tests/cachesim/sampling/test_estimate.py"),
+    Mutation("estimate: never more than a part of the run", "cachesim/sampling/sampler.py", "MOST_SHARE = 0.6", "MOST_SHARE = 60.0", "tests/cachesim/sampling/test_estimate.py"),
+    Mutation("estimate: open misses of the long warm-up are no reason", "cachesim/sampling/sampler.py", "_SETTLED = 0.25", "_SETTLED = 1e9", "tests/cachesim/sampling/test_estimate.py"),
 ]

@@ -5,17 +5,18 @@
 
 from tests.mutations.mutation import Mutation
 
+QU, SA = "cachesim/sampling/quantities.py", "cachesim/sampling/sampler.py"
 ES, UN, RE, SP, RU, KE = "cachesim/sampling/estimate.py", "cachesim/sampling/unit_counts.py", "cachesim/sampling/two_phase.py", "cachesim/sampling/spread.py", "rtrace/ray_source.py", "cachesim/sampling/resume_file.py"
 CLAIMS, SPREAD, RESUME = "tests/cachesim/sampling/test_estimate_claims.py", "tests/cachesim/sampling/test_spread.py", "tests/cachesim/sampling/test_resume.py"
 
 MUTATIONS = [
     # --- quantities ---
-    Mutation("estimate claims: the paper's rate over demand accesses", ES, "Ratio((both,), (everything,))", "Ratio((both,), (demand,))", f"{CLAIMS} -k every_quantity"),
-    Mutation("estimate claims: demand B over all accesses", ES, "Ratio((with_,), (demand,))", "Ratio((with_,), (everything,))", f"{CLAIMS} -k every_quantity"),
-    Mutation("estimate claims: demand B/A over all misses of B", ES, "Ratio((with_,), (alone,))", "Ratio((with_,), (both,))", f"{CLAIMS} -k every_quantity"),
-    Mutation("estimate claims: traffic over B's demand misses", ES, "Ratio((both,), (alone,))", "Ratio((both,), (with_,))", f"{CLAIMS} -k every_quantity"),
-    Mutation("estimate claims: bytes of B are those of A", ES, "Ratio((config.line_bytes * both,))", "Ratio((config.line_bytes * alone,))", f"{CLAIMS} -k every_quantity"),
-    Mutation("estimate claims: accesses per position", ES, "Ratio((demand,), (form(RAYS),))", "Ratio((everything,), (form(RAYS),))", f"{CLAIMS} -k every_quantity"),
+    Mutation("estimate claims: the paper's rate over demand accesses", QU, "Ratio((both,), (everything,))", "Ratio((both,), (demand,))", f"{CLAIMS} -k every_quantity"),
+    Mutation("estimate claims: demand B over all accesses", QU, "Ratio((with_,), (demand,))", "Ratio((with_,), (everything,))", f"{CLAIMS} -k every_quantity"),
+    Mutation("estimate claims: demand B/A over all misses of B", QU, "Ratio((with_,), (alone,))", "Ratio((with_,), (both,))", f"{CLAIMS} -k every_quantity"),
+    Mutation("estimate claims: traffic over B's demand misses", QU, "Ratio((both,), (alone,))", "Ratio((both,), (with_,))", f"{CLAIMS} -k every_quantity"),
+    Mutation("estimate claims: bytes of B are those of A", QU, "Ratio((config.line_bytes * both,))", "Ratio((config.line_bytes * alone,))", f"{CLAIMS} -k every_quantity"),
+    Mutation("estimate claims: accesses per position", QU, "Ratio((demand,), (form(RAYS),))", "Ratio((everything,), (form(RAYS),))", f"{CLAIMS} -k every_quantity"),
     Mutation("estimate claims: half width and unsettled part swapped", ES, '"half_width": value.half, "unsettled": value.bracket', '"half_width": value.bracket, "unsettled": value.half', f"{CLAIMS} -k json"),
     Mutation("estimate claims: NaN is printed", ES, "None if math.isnan(interval.value) else interval", "interval", f"{CLAIMS} -k without_accesses"),
     # --- what it took ---
@@ -24,10 +25,10 @@ MUTATIONS = [
     Mutation("estimate claims: the scout left out of the share", UN, "self._looked = np.concatenate([self._looked, looked])", "pass", f"{CLAIMS} -k share"),
     Mutation("estimate claims: rays traced twice count twice", UN, "np.maximum(spans[:, 1] - np.maximum(spans[:, 0], reached[:-1]), 0).sum()", "(spans[:, 1] - spans[:, 0]).sum()", f"{CLAIMS} -k share"),
     Mutation("estimate claims: shares forget what was resumed", UN, "self._spans += [(int(low), int(high)) for low, high in found.spans]", "pass", f"{CLAIMS} -k share"),
-    Mutation("estimate claims: seconds of counting alone", ES, "seconds=time.perf_counter() - start,", "seconds=counts.work.wall_s,", f"{CLAIMS} -k seconds"),
-    Mutation("estimate claims: seconds and exact seconds swapped", ES, "seconds=time.perf_counter() - start,\n        exact_seconds=counts.exact_seconds(found.n_accesses)", "exact_seconds=time.perf_counter() - start,\n        seconds=counts.exact_seconds(found.n_accesses)", f"{CLAIMS} -k seconds"),
-    Mutation("estimate claims: seconds of an exact run without the abandoned sample", ES, "seconds=end - start, exact_seconds=end - before", "seconds=end - before, exact_seconds=end - start", f"{CLAIMS} -k everything_once"),
-    Mutation("estimate claims: pre-fetches cost nothing", ES, "found.totals[[ACCESSES, PREFETCHES]].sum()", "found.totals[[ACCESSES]].sum()", f"{CLAIMS} -k seconds"),
+    Mutation("estimate claims: seconds of counting alone", ES, "seconds = time.perf_counter() - call.start", "seconds = counts.work.wall_s", f"{CLAIMS} -k seconds"),
+    Mutation("estimate claims: seconds and exact seconds swapped", ES, "seconds=seconds, exact_seconds=exact_seconds)\n", "seconds=exact_seconds, exact_seconds=seconds)\n", f"{CLAIMS} -k seconds"),
+    Mutation("estimate claims: seconds of an exact run without the abandoned sample", ES, "seconds=end - call.start, exact_seconds=end - before", "seconds=end - before, exact_seconds=end - call.start", f"{CLAIMS} -k everything_once"),
+    Mutation("estimate claims: pre-fetches cost nothing", SA, "found.totals[[ACCESSES, PREFETCHES]].sum()", "found.totals[[ACCESSES]].sum()", f"{CLAIMS} -k seconds"),
     Mutation("estimate claims: a call costs nothing", UN, "return x * each + n * max((self.y - each * self.x) / self.n, 0.0)", "return x * each", f"{CLAIMS} -k line_through"),
     Mutation("estimate claims: other programs do not slow the exact run", UN, "return cpu * self.wall_s / max(self.tracing.y + self.replaying.y, 1e-9)", "return cpu", f"{CLAIMS} -k line_through"),
     # --- seeds, batches, parts ---
@@ -44,10 +45,10 @@ MUTATIONS = [
     # --- what is stated ---
     Mutation("estimate claims: no finite-population factor", RE, "sizes**2 * (1 - drawn / sizes) / drawn", "sizes**2 / drawn", f"{CLAIMS} -k half_width"),
     Mutation("estimate claims: no finite-population factor of the second phase", RE, "(1 / m - 1 / n_units)", "(1 / m)", f"{CLAIMS} -k half_width"),
-    Mutation("estimate claims: a figure without a bound is printed", ES, "is_within = widest <= 1 and is_stated and not flags", "is_within = widest <= 1 and not flags", f"{CLAIMS} -k without_a_bound"),
-    Mutation("estimate claims: open misses are misses to judge by", ES, "seen = sample.certain.sum(axis=0) + share * sample.open_.sum(axis=0)", "seen = (sample.certain + sample.open_).sum(axis=0)", f"{CLAIMS} -k turn_out"),
-    Mutation("estimate claims: any sample is drawn", ES, "if least > MOST_SHARE * self._counts.n_positions:", "if least > 60 * self._counts.n_positions:", f"{CLAIMS} -k more_than_it_saves"),
-    Mutation("estimate claims: pre-fetches come evenly", ES, "_BURSTS = 4.0", "_BURSTS = 0.25", f"{CLAIMS} -k bursts"),
+    Mutation("estimate claims: a figure without a bound is printed", SA, "is_within = widest <= 1 and is_stated and not flags", "is_within = widest <= 1 and not flags", f"{CLAIMS} -k without_a_bound"),
+    Mutation("estimate claims: open misses are misses to judge by", SA, "seen = sample.certain.sum(axis=0) + share * sample.open_.sum(axis=0)", "seen = (sample.certain + sample.open_).sum(axis=0)", f"{CLAIMS} -k turn_out"),
+    Mutation("estimate claims: any sample is drawn", SA, "if least > MOST_SHARE * self._counts.n_positions:", "if least > 60 * self._counts.n_positions:", f"{CLAIMS} -k more_than_it_saves"),
+    Mutation("estimate claims: pre-fetches come evenly", QU, "_BURSTS = 4.0", "_BURSTS = 0.25", f"{CLAIMS} -k bursts"),
     Mutation("spread: steps leave no variance", SP, "_STEP = 1 / 12", "_STEP = 0.0", SPREAD),
     Mutation("spread: a stratum's neighbours do not count", SP, "return np.maximum(own, factor @ expected)", "return own", SPREAD),
     Mutation("spread: what the strata saw themselves does not count", SP, "return np.maximum(own, factor @ expected)", "return factor @ expected", f"{SPREAD} -k by_hand"),

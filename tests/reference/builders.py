@@ -11,6 +11,7 @@ import numpy as np
 
 from rtrace.trees import binned_sah, bvh, kdtree
 from rtrace.trees.clip import value
+from rtrace.trees.kd_events import END, KIND, START, TRIANGLE
 
 _empty, _empty_like = np.empty, np.empty_like
 _grow_one, _copy_one = binned_sah.grow, binned_sah.copy
@@ -29,7 +30,8 @@ def _copy(boxes: Any, i: Any, others: Any, j: Any) -> None:
 def _in_python() -> contextlib.ExitStack:
     """Let Python run the outer loop of every builder, so that what it calls and allocates can be replaced."""
     stack = contextlib.ExitStack()
-    for module, name in ((kdtree, "_build"), (bvh, "_build"), (binned_sah, "build_binned")):
+    steps = (kdtree, "_build"), (kdtree, "_split_cell"), (kdtree, "_write_leaf")
+    for module, name in (*steps, (bvh, "_build"), (binned_sah, "build_binned")):
         stack.enter_context(patch.object(module, name, getattr(module, name).py_func))
     stack.enter_context(patch.multiple(binned_sah, grow=_grow, copy=_copy))
     return stack
@@ -60,29 +62,29 @@ class _Steps:
     """The kd-tree's kernels, each followed by a check of what it did."""
 
     def __init__(self) -> None:
-        names = ("_sweep", "_classify", "_partition", "_list_triangles")
+        names = ("sweep", "classify", "partition", "list_triangles")
         self._kernels = {name: getattr(kdtree, name) for name in names}
         self.n_splits = 0
         self._members: set[int] = set()
         self._claimed = (0, 0)
 
-    def _sweep(self, events, axis, span, boxes, cell, n, costs, best):  # type: ignore[no-untyped-def]
+    def sweep(self, events, axis, span, boxes, cell, n, costs, best):  # type: ignore[no-untyped-def]
         """The events are those of n triangles, the same on all axes; the cost found is that of the counts below and above."""
         (begin, end), (trav, empty_bonus) = span, costs
         lo, hi = float(boxes[6 * cell + axis]), float(boxes[6 * cell + 3 + axis])
         listed = events[axis, begin:end].tolist()
         assert all(a < b for a, b in itertools.pairwise(listed)), "events out of order, or twice"
         assert all(lo <= value(event >> 32) <= hi for event in listed), "events outside their cell"
-        first = [event & kdtree._TRIANGLE for event in listed if event & kdtree._KIND != kdtree._END]
-        last = [event & kdtree._TRIANGLE for event in listed if event & kdtree._KIND != kdtree._START]
+        first = [event & TRIANGLE for event in listed if event & KIND != END]
+        last = [event & TRIANGLE for event in listed if event & KIND != START]
         assert len(first) == len(last) == n and set(first) == set(last), "a cell's events are not those of its triangles"
         self._members = set(first) if axis == 0 else self._members
         assert self._members == set(first), "the axes have other triangles"
-        found = self._kernels["_sweep"](events, axis, span, boxes, cell, n, costs, best)
+        found = self._kernels["sweep"](events, axis, span, boxes, cell, n, costs, best)
         if found[0] < best[0]:
             below = [event for event in listed if event < found[1]]
-            n_below = sum(event & kdtree._KIND != kdtree._END for event in below)
-            n_above = n - sum(event & kdtree._KIND != kdtree._START for event in below)
+            n_below = sum(event & KIND != END for event in below)
+            n_above = n - sum(event & KIND != START for event in below)
             d = [float(boxes[6 * cell + 3 + k] - boxes[6 * cell + k]) for k in ((axis + 1) % 3, (axis + 2) % 3)]
             cap, rim, x = d[0] * d[1], d[0] + d[1], value(found[1] >> 32)
             cost = trav * (cap + (hi - lo) * rim)
@@ -90,31 +92,29 @@ class _Steps:
             assert cost * (1.0 if n_below and n_above else empty_bonus) == found[0], "a cost that is not its plane's"
         return found
 
-    def _classify(self, events, axis, span, plane, n, side):  # type: ignore[no-untyped-def]
+    def classify(self, events, axis, span, plane, n, side):  # type: ignore[no-untyped-def]
         """As many triangles are below and above as it says."""
-        claimed = self._kernels["_classify"](events, axis, span, plane, n, side)
+        claimed = self._kernels["classify"](events, axis, span, plane, n, side)
         sides = [side[triangle] for triangle in self._members]
         assert claimed == (sum(s & 1 for s in sides), sum(s >> 1 for s in sides)), "counts that are not the sides'"
         self._claimed = claimed
         return claimed
 
-    def _partition(self, events, axis, span, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts):  # type: ignore[no-untyped-def]
+    def partition(self, events, axis, span, side, straddlers, n_straddlers, parted):  # type: ignore[no-untyped-def]
         """The children get so many triangles, on each axis."""
-        n_straddlers = self._kernels["_partition"](
-            events, axis, span, n_straddlers, side, slot, straddlers, bounds, kept, cut, counts
-        )
-        begin = span[0]
-        parts = (kept[axis, : counts[axis]], events[axis, begin : counts[6 + axis]], cut[axis, : counts[3 + axis]])
-        below, above, both = (int((part & kdtree._KIND != kdtree._END).sum()) for part in parts)
+        n_straddlers = self._kernels["partition"](events, axis, span, side, straddlers, n_straddlers, parted)
+        kept, cut = parted.kept[axis, : parted.n_kept[axis]], parted.cut[axis, : parted.n_cut[axis]]
+        parts = kept, events[axis, span[0] : parted.end_above[axis]], cut
+        below, above, both = (int((part & KIND != END).sum()) for part in parts)
         assert (below + both, above + both) == self._claimed, "counts that are not the partition's"
         assert both == n_straddlers
         self.n_splits += axis == 2
         return n_straddlers
 
-    def _list_triangles(self, events, begin, end, fresh):  # type: ignore[no-untyped-def]
+    def list_triangles(self, events, begin, end, fresh):  # type: ignore[no-untyped-def]
         """What a leaf lists comes from its own events."""
         fresh[:] = -1
-        return self._kernels["_list_triangles"](events, begin, end, fresh)
+        return self._kernels["list_triangles"](events, begin, end, fresh)
 
 
 @contextlib.contextmanager

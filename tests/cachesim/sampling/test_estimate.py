@@ -5,7 +5,9 @@ import pytest
 
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
-from cachesim.sampling.estimate import QUANTITIES, TARGETED, Target, estimate, parse_target, ratios_of
+from cachesim.sampling.estimate import estimate
+from cachesim.sampling.quantities import QUANTITIES, TARGETED, ratios_of
+from cachesim.sampling.target import Target, parse_target
 from cachesim.sampling.two_phase import value_of
 from cachesim.sampling.unit_counts import UnitCounts
 from rtrace.ray_source import RayUnits, unit_of

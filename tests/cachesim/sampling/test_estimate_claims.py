@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from cachesim.config import CacheConfig
-from cachesim.sampling.estimate import QUANTITIES, Target, estimate, ratios_of
+from cachesim.sampling.estimate import estimate
+from cachesim.sampling.quantities import QUANTITIES, ratios_of
 from cachesim.sampling.strata import Design
+from cachesim.sampling.target import Target
 from cachesim.sampling.two_phase import Ratio, Sample
 from cachesim.sampling.two_phase import estimate as extrapolate
 from cachesim.sampling.unit_counts import Rate, UnitCounts, Work
@@ -171,7 +173,7 @@ def test_a_figure_without_a_bound_is_counted_exactly(half, monkeypatch):
         found.intervals[1] = found.intervals[1]._replace(half=half)
         return found
 
-    monkeypatch.setattr("cachesim.sampling.estimate.extrapolate", without_bound)
+    monkeypatch.setattr("cachesim.sampling.sampler.extrapolate", without_bound)
     result = estimate(ArraySource(*drawn()), [CacheConfig(2048, 1)], WIDE, exact_below=0)
     assert result.method == "exact" and "not every quantity has a bound" in result.reason
 

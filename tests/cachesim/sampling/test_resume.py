@@ -10,7 +10,8 @@ from click.testing import CliRunner
 
 import cli
 from cachesim.config import CacheConfig
-from cachesim.sampling.estimate import Target, estimate
+from cachesim.sampling.estimate import estimate
+from cachesim.sampling.target import Target
 from nptrace_base.errors import NptraceError
 from tests.reference.unit_sources import ArraySource
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from rtrace.checks import exact_answers, hard_cases
+from rtrace.checks.cases.case import Case, exact_case
 from rtrace.checks.exact_answers import exact_answer, exact_hits, whole_numbers
-from rtrace.checks.hard_cases import STRUCTURES, Case, Row, exact_case, run_case
+from rtrace.checks.hard_cases import STRUCTURES, Row, run_case
 from rtrace.scenes.shapes import icosphere
 from rtrace.shading import shadow_rays
 from rtrace.traverse import Hits, Rays, make_rays, trace, trace_recorded

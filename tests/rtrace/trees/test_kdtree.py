@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from rtrace.scenes.stand_ins import boxes, height_field, icosphere, soup
 from rtrace.trees import kdtree
-from rtrace.trees.clip import POLYGON, rank, split_bounds, value
+from rtrace.trees.clip import POLYGON, PartBounds, rank, split_bounds, value
 from rtrace.trees.kdtree import build_kdtree, sah_cost
 from rtrace.trees.tree import LEAF_AXIS, node_table
 
@@ -378,8 +378,8 @@ def test_arrays_that_grow_change_nothing(monkeypatch):
             shape = 8
         return empty(shape, dtype)
 
-    first_events, empty = kdtree._first_events, np.empty
-    monkeypatch.setattr(kdtree, "_first_events", tight)
+    first_events, empty = kdtree.first_events, np.empty
+    monkeypatch.setattr(kdtree, "first_events", tight)
     monkeypatch.setattr(kdtree, "_grown", grow)
     monkeypatch.setattr(kdtree.np, "empty", scant)
     again = build_kdtree(triangles)
@@ -497,19 +497,9 @@ def test_split_bounds_are_the_exact_ones_rounded_outward(corners, planes, axis):
     flat = [x for k in range(3) for x in [bounds[k][0]]] + [bounds[k][1] for k in range(3)]
     ranks = np.array([rank(np.float32(x)) for x in flat], np.int32)
     below, above = np.zeros(6, np.int32), np.zeros(6, np.int32)
-    split_bounds(
-        triangle.reshape(9),
-        0,
-        cell.reshape(6),
-        0,
-        axis,
-        rank(np.float32(split)),
-        ranks,
-        0,
-        below,
-        above,
-        np.empty(3 * POLYGON),
-    )
+    plane = axis, rank(np.float32(split))
+    parts = PartBounds(ranks, below, above)
+    split_bounds(triangle.reshape(9), 0, (cell.reshape(6), 0), plane, parts, 0, np.empty(3 * POLYGON))
     for got, is_above in ((below, False), (above, True)):
         side = cut(box, axis, Fraction(split), is_above)
         values = [value(int(place)) for place in got]
@@ -531,7 +521,7 @@ def test_a_part_that_rounding_left_empty_stays_near_its_triangle():
     bounds = np.array([0, 0, 0, one + 2, rank(np.float32(5)), rank(np.float32(5))], np.int32)
     below, above = np.zeros(6, np.int32), np.zeros(6, np.int32)
     cell = np.array([-9, -9, -9, 9, 9, 9], np.float64)
-    split_bounds(triangle.reshape(9), 0, cell, 0, 0, one + 1, bounds, 0, below, above, np.empty(3 * POLYGON))
+    split_bounds(triangle.reshape(9), 0, (cell, 0), (0, one + 1), PartBounds(bounds, below, above), 0, np.empty(3 * POLYGON))
     assert [value(int(place)) for place in below] == [0, 0, 0, 1, 5, 5]
     assert above.tolist() == [one + 1, rank(np.float32(0.25)), rank(np.float32(0.5)), one + 2, *above[1:3]]
 

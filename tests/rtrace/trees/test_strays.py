@@ -6,7 +6,7 @@ import pytest
 from rtrace.scenes.shapes import icosphere
 from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
 from rtrace.trees.bvh import build_bvh
-from rtrace.trees.clip import POLYGON, rank, split_bounds, value
+from rtrace.trees.clip import POLYGON, PartBounds, rank, split_bounds, value
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.strays import FAR, SLACK, find_limit, make_room, margin_note
 from rtrace.trees.tree import triangle_boxes
@@ -124,8 +124,8 @@ def test_parts_of_a_stray_reach_as_far_around_it():
     cell = np.array([-4, -4, -4, 4, 12, 8], np.float64)
     below, above = np.zeros(6, np.int32), np.zeros(6, np.int32)
     for slack, ys in ((0.0, ((0, 4), (4, 8))), (0.5, ((-0.5, 6.5), (1.5, 8.5)))):
-        at = triangle.reshape(9), 0, cell, 0, 0, rank(np.float32(0)), ranks, 0, below, above, np.empty(3 * POLYGON), slack
-        split_bounds(*at)
+        plane, parts = (0, rank(np.float32(0))), PartBounds(ranks, below, above)
+        split_bounds(triangle.reshape(9), 0, (cell, 0), plane, parts, 0, np.empty(3 * POLYGON), slack)
         assert ((value(below[1]), value(below[4])), (value(above[1]), value(above[4]))) == ys
 
 
