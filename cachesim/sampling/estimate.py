@@ -35,6 +35,7 @@ from cachesim.sampling.two_phase import Estimate as Extrapolated
 from cachesim.sampling.two_phase import estimate as extrapolate
 from cachesim.sampling.unit_counts import ACCESSES, PREFETCHES, RAYS, UnitCounts, UnitSource
 from nptrace_base.errors import NptraceError
+from traces.identity import RunIdentity
 
 CONFIDENCE = 0.95
 #: Of each look at a sample. More than what is stated, because the first sample that looks good enough ends the search; how
@@ -139,7 +140,7 @@ class Estimated:
         What was found to be out of a sample's reach.
     """
 
-    run: str
+    identity: RunIdentity
     method: str
     reason: str
     cells: list[Cell]
@@ -161,8 +162,9 @@ class Estimated:
             return None if value is None else {"value": value.value, "half_width": value.half, "unsettled": value.bracket}
 
         return {
-            "run": self.run, "method": self.method, "reason": self.reason, "target": self.target, "confidence": CONFIDENCE,
-            "seed": self.seed, "units": self.n_units, "units_sampled": self.n_sampled, "share_of_rays": self.share,
+            **self.identity.to_dict(), "method": self.method, "reason": self.reason, "target": self.target,
+            "confidence": CONFIDENCE, "seed": self.seed,
+            "units": self.n_units, "units_sampled": self.n_sampled, "share_of_rays": self.share,
             "seconds": self.seconds, "exact_seconds": self.exact_seconds, "flags": self.flags,
             "accesses_per_ray": interval(self.accesses_per_ray),
             "prefetches_per_access": interval(self.prefetches_per_access),
@@ -426,4 +428,4 @@ def _result(source: UnitSource, configs: Sequence[CacheConfig], intervals: Seque
         Cell(config, {name: defined[place_of(k, name)] for name in QUANTITIES}) for k, config in enumerate(configs)
     ]  # fmt: skip
     per_ray, per_access = defined[: len(OF_THE_RUN)]
-    return Estimated(source.name, cells=cells, accesses_per_ray=per_ray, prefetches_per_access=per_access, **facts)
+    return Estimated(source.identity, cells=cells, accesses_per_ray=per_ray, prefetches_per_access=per_access, **facts)
