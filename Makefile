@@ -54,7 +54,7 @@ docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SC
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
 	$(BIN)/nptrace render bunny conference sibenik sponza --out $(VENV)/runs --overwrite
 	$(BIN)/npcache table1 --traces $(VENV)/runs --format csv -o docs/data/table1.csv
-	$(BIN)/nptrace render blob room nave court --accel bvh --size 320x320 --out $(VENV)/stand-ins --overwrite
+	$(BIN)/nptrace render blob room nave court --accel bvh --pixels 320x320 --out $(VENV)/stand-ins --overwrite
 	$(BIN)/python docs/pictures.py docs/scenes.png $(VENV)/stand-ins/*/image.png
 	$(BIN)/nptrace check bunny conference sibenik sponza --json > docs/data/embree.json
 	$(BIN)/cog -r $(PAGES)

@@ -280,7 +280,7 @@ def replay(
     for group in groups:
         for job in group.jobs:
             result = Result(
-                run=source.name, config=job.config, prefetch=str(prefetch),
+                identity=source.identity, config=job.config, prefetch=str(prefetch),
                 layout=str(source.layout), has_3c=three_c, n_rays=source.n_rays, n_splits=group.n_splits,
             )  # fmt: skip
             job.fill(result, group.totals)

@@ -7,6 +7,7 @@ import numpy as np
 
 from cachesim.access import N_LABELS, PREFETCH
 from cachesim.config import CacheConfig
+from traces.identity import RunIdentity
 
 
 def _per_label() -> np.ndarray:
@@ -24,8 +25,8 @@ class Result:
 
     Attributes
     ----------
-    run : str
-        Name of the source, with ``(stand-in)`` when its scene is one.
+    identity : RunIdentity
+        Of what was replayed.
     n_rays : int or None
         None for a trace without rays.
     accesses, misses : array
@@ -41,7 +42,7 @@ class Result:
         Demand misses of the same trace without its prefetches (the paper's configuration A).
     """
 
-    run: str
+    identity: RunIdentity
     config: CacheConfig
     prefetch: str
     layout: str
@@ -114,11 +115,12 @@ class Result:
         """Return the counts and rates as JSON values; a rate with a denominator of 0 is None."""
         config = self.config
         values: dict[str, Any] = {
-            "run": self.run,
+            **self.identity.to_dict(),
             "size_bytes": config.size_bytes,
             "ways": config.ways,
             "line_bytes": config.line_bytes,
             "policy": config.policy,
+            "policy_seed": config.seed if config.policy == "random" else None,
             "prefetch": self.prefetch,
             "layout": self.layout,
             "demand_accesses": self.demand_accesses,

@@ -13,6 +13,8 @@ from cachesim.prefetch import KIND_LEAF, KIND_PREFETCH, REQUEST, Prefetch, Stack
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 from traces.din import DinTrace
+from traces.format import printable
+from traces.identity import RunIdentity
 from traces.reader import Run, open_run
 from traces.stream import STDIN
 
@@ -23,7 +25,7 @@ BATCH = 1 << 18
 class Source(Protocol):
     """Something to replay."""
 
-    name: str
+    identity: RunIdentity
     n_rays: int | None
     n_events: int | None  # None when the trace has to be read to know
     layout: Layout
@@ -59,7 +61,7 @@ class RunSource:
     def __init__(self, run: Run, layout: Layout | str = "stored") -> None:
         self.layout = parse_layout(layout) if isinstance(layout, str) else layout
         self.run = run
-        self.name = run.name + (" (stand-in)" if run.footer.scene.stand_in else "")
+        self.identity = run.identity
         self.n_rays: int | None = run.footer.n_rays
         self.n_events: int | None = run.n_accesses
         self._format, self._node_bytes = run.footer.tree.node_format, run.footer.tree.node_bytes
@@ -114,7 +116,7 @@ class DinSource:
                 f"{trace.stream.where} has addresses, not nodes, so it cannot use the layout {self.layout}; use stored"
             )
         self.trace = trace
-        self.name = trace.stream.name
+        self.identity = RunIdentity(trace.stream.name, path=printable(trace.stream.where))
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[tuple[np.ndarray, np.ndarray | int], np.ndarray]]:
         """Yield ((address, size), access type) batches."""

@@ -31,6 +31,7 @@ from cachesim.source import Source, as_source, demand_only
 from cachesim.stack_distance import StackDistances, check_one_pass
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
+from traces.identity import RunIdentity
 from traces.reader import Run
 
 
@@ -42,7 +43,7 @@ class SweepRow:
     accesses alone (A).
     """
 
-    run: str
+    identity: RunIdentity
     config: CacheConfig
     prefetch: str
     layout: str
@@ -57,7 +58,7 @@ class SweepRow:
         config, misses = self.config, self.demand_misses + self.prefetch_misses
         coverage = ratio(self.demand_misses, self.demand_misses_without)
         return {
-            "run": self.run,
+            **self.identity.to_dict(),
             "size_bytes": config.size_bytes,
             "sets": config.n_sets,
             "ways": config.ways,
@@ -168,7 +169,7 @@ class _Group:
         everything, demand = self._streams[0], self._streams[-1]
         demand_misses, prefetch_misses = everything.misses(config)
         return SweepRow(
-            run=source.name,
+            identity=source.identity,
             config=config,
             prefetch=str(prefetch),
             layout=str(source.layout),

@@ -49,10 +49,9 @@ def table1(cog) -> None:
         for row in rows:
             if (row["tree"], row["scene"]) != (tree, scene):
                 continue
-            cells = [
-                float(row[f"{name}{of}"]) for name in ("miss_a", "miss_b", "miss_ratio", "kb_ratio") for of in ("", "_paper")
-            ]
-            cells += [float(row["demand_miss_a"]), float(row["demand_ratio"])]
+            names = ("demand_miss_rate_without", "paper_miss_rate", "paper_ratio", "traffic_ratio")
+            cells = [100 * float(row[f"{name}{of}"]) for name in names for of in ("", "_paper")]
+            cells += [100 * float(row["demand_miss_rate_without"]), 100 * float(row["demand_ratio"])]
             cache = f"{int(row['size_bytes']) // 1024}K({row['ways']})"
             cog.outl(f"| {TREES[tree]} {scene.capitalize()} | {cache} | " + " | ".join(f"{cell:.1f}" for cell in cells) + " |")
 
@@ -62,15 +61,15 @@ def headline(cog) -> None:
     with open(DATA / "table1.csv", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     columns = {
-        "printed by the paper": "miss_ratio_paper", "the same, ours": "miss_ratio", "demand misses": "demand_ratio",
-        "bytes from memory": "kb_ratio",
+        "printed by the paper": "paper_ratio_paper", "the same, ours": "paper_ratio", "demand misses": "demand_ratio",
+        "bytes from memory": "traffic_ratio",
     }  # fmt: skip
     cog.outl("| with prefetching / without, in % | " + " | ".join(columns) + " |")
     cog.outl("| --- |" + " ---: |" * len(columns))
     for tree, title in TREES.items():
         cells = []
         for name in columns.values():
-            values = [float(row[name]) for row in rows if row["tree"] == tree]
+            values = [100 * float(row[name]) for row in rows if row["tree"] == tree]
             cells.append(f"{min(values):.0f} to {max(values):.0f}")
         cog.outl(f"| {title} | " + " | ".join(cells) + " |")
 
@@ -84,7 +83,8 @@ def hard_cases(cog) -> None:
         of = [row for row in rows if row["case"] == case]
         sums = " | ".join(str(max(row[name] for row in of)) for name in ("lost", "invented", "wrong", "unlike", "ambiguous"))
         error = max(row["t_error"] for row in of)
-        cog.outl(f"| {case} | {len(of)} | {of[0]['n_rays']:,} | {sums} | {error:.2g} | {of[0]['bound']:g} |")
+        bound = "-" if of[0]["bound"] is None else f"{of[0]['bound']:g}"
+        cog.outl(f"| {case} | {len(of)} | {of[0]['n_rays']:,} | {sums} | {error:.2g} | {bound} |")
 
 
 def embree(cog) -> None:

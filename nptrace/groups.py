@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -47,6 +48,25 @@ class BadInput(click.ClickException):
     """One sentence on stderr, exit status 2."""
 
     exit_code = 2
+
+
+class Command(click.Command):
+    """A command with ``old`` spellings of its options, which still work and say what to write instead."""
+
+    def __init__(self, *args: Any, old: Mapping[str, str] | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._old = old or {}
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse, after replacing old spellings."""
+        for i, text in enumerate(args):
+            if text == "--":
+                break
+            name, equals, value = text.partition("=")
+            if name in self._old:
+                click.echo(f"{name} is now {self._old[name]}; the old spelling will go", err=True)
+                args[i] = self._old[name] + equals + value
+        return super().parse_args(ctx, args)
 
 
 class Commands(click.Group):

@@ -12,6 +12,7 @@ from nptrace.groups import BadInput
 from nptrace.options import threads_option
 
 if TYPE_CHECKING:
+    from rtrace.camera import Camera
     from rtrace.render import Shooting
     from rtrace.scenes.scene import Scene
 
@@ -27,28 +28,30 @@ def scene_options(command: Any) -> Any:
 
 
 def load_scenes(
-    names: Sequence[str], strict: bool, offline: bool, camera: str | None = None, light: str | None = None
+    names: Sequence[str], strict: bool, offline: bool, cameras: Sequence[str] = (), light: str | None = None
 ) -> "list[Scene]":
-    """Load scenes by name or file, seen as --camera and --light say; notes on each go to stderr."""
+    """Load scenes by name or file, each seen by every --camera and lit as --light says; notes on each go to stderr."""
     from rtrace.camera import parse_camera, parse_point
     from rtrace.scenes.catalog import load_scene
     from rtrace.scenes.scene import dropped_sentence, seen_from
 
-    eye, lamp = parse_camera(camera) if camera else None, parse_point(light) if light else None
+    views: list[Camera | None] = [*map(parse_camera, cameras)] or [None]
+    lamp = parse_point(light) if light else None
     scenes = []
     for name in names:
         scene = load_scene(name, strict=strict, download=not offline, notify=lambda text: click.echo(text, err=True))
         for sentence in (dropped_sentence(scene), *scene.notes):
             if sentence:
                 click.echo(sentence, err=True)
-        scenes.append(seen_from(scene, eye, lamp))
+        scenes += [seen_from(scene, view, lamp) for view in views]
     return scenes
 
 
-def check_run_names(names: Sequence[str], n_scenes: int) -> None:
-    """Raise BadInput unless there are no names, or one per scene and each can name a folder."""
-    if names and len(names) != n_scenes:
-        raise BadInput(f"there are {len(names)} --name for {n_scenes} SCENE; give one per SCENE, in the same order")
+def check_run_names(names: Sequence[str], n_pictures: int) -> None:
+    """Raise BadInput unless there are no names, or one per picture and each can name a folder."""
+    if names and len(names) != n_pictures:
+        pictures = f"{n_pictures} picture{'s' * (n_pictures != 1)}"
+        raise BadInput(f"there are {len(names)} --name for {pictures}; give one per SCENE and --camera, in the same order")
     for name in names:
         if not re.fullmatch(r"[\w][\w.-]*", name):
             raise BadInput(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")

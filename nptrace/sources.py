@@ -1,5 +1,7 @@
 """Options that choose what is replayed, shared by the commands of npcache."""
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +15,12 @@ PREFETCH_HELP = (
 LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
 
 
-def default_sources(folder: Path) -> list[Path]:
-    """Return the runs in a folder, at least one."""
+def chosen_sources(sources: Sequence[Path], folder: Path) -> list[Path]:
+    """Return the runs and traces to read: those named, each once, or the runs in a folder, at least one."""
     from traces.reader import find_runs
 
+    if sources:
+        return list({os.path.realpath(path) if str(path) != "-" else path: path for path in reversed(sources)}.values())[::-1]
     found = find_runs(folder)
     if not found:
         raise BadInput(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a .din file")

@@ -1,19 +1,36 @@
-"""Tables as text: rows of formatted cells -> a terminal, a pipe, Markdown or LaTeX."""
+"""Tables as text: rows of formatted cells -> a terminal, a pipe, Markdown or LaTeX.
+
+On a terminal no line is longer than the terminal is wide. A table that is too wide goes without its columns of
+``Table.extra``, the first of them first, and a note names them; no number is broken or cut. A pipe or a file gets every
+column, and notes of ``NOTE_WIDTH``.
+
+A new command makes its tables with ``n_left`` key columns (which run, which cache), and names in ``extra`` the columns that a
+reader misses least; ``nptrace.output.Output`` prints them. ``traces.identity.labels`` makes the text of a run's key column.
+"""
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TextIO
 
-_NOTE_WIDTH = 110
+#: Columns of a note in a pipe or a file, and on a terminal that is wider.
+NOTE_WIDTH = 110
 _MANY = 12  # columns above which the gaps between them are one blank, so that a table fits 120
+_NARROWEST = 8  # to which the text of a key column is folded
 
 
 @dataclass
 class Table:
     """A table of text cells; a column is right-aligned unless it is one of the first ``n_left``.
 
-    ``sections`` are the rows after which a line or a gap is drawn.
+    Attributes
+    ----------
+    n_left : int
+        Key columns: they are kept, and folded at worst.
+    sections : set of int
+        The rows after which a line or a gap is drawn.
+    extra : sequence of str
+        Headings of the columns without which a narrow terminal does, the first to go first.
     """
 
     title: str
@@ -21,6 +38,7 @@ class Table:
     rows: list[list[str]]
     n_left: int = 1
     sections: set[int] = field(default_factory=set)
+    extra: Sequence[str] = ()
 
 
 def number(value: float | None, decimals: int = 0, *, sign: bool = False, group: str = ",") -> str:
@@ -36,27 +54,93 @@ def percent(value: float | None, decimals: int = 2) -> str:
     return number(None if value is None else 100 * value, decimals)
 
 
-def print_tables(tables: Sequence[Table], notes: Sequence[str], file: TextIO) -> None:
-    """Print tables and the notes below them. Nothing is cut off, however narrow the output; a pipe gets plain ASCII."""
+def width_of(file: TextIO) -> int | None:
+    """Return the columns of a terminal; None for a pipe or a file, which has no width."""
+    from rich.console import Console
+
+    console = Console(file=file)
+    return console.width if console.is_terminal else None
+
+
+def print_tables(tables: Sequence[Table], notes: Sequence[str], file: TextIO, *, is_wide: bool = False) -> None:
+    """Print tables and the notes below them; a pipe gets plain ASCII.
+
+    On a terminal tables are fitted to its width, unless ``is_wide``.
+    """
+    width = width_of(file)
+    left_out: dict[str, None] = {}
+    for table in tables:
+        shown, gap, widths = fitted(table, None if is_wide else width)
+        left_out |= {_one_line(name): None for name in table.header if name not in shown.header}
+        _print_table(shown, gap, widths, width, file)
+    if left_out:
+        columns = f"{len(left_out)} column{'s' if len(left_out) > 1 else ''}"
+        notes = [*notes, f"--wide prints {columns} more: {', '.join(left_out)}."]
+    for note in notes:
+        print(textwrap.fill(note, min(width or NOTE_WIDTH, NOTE_WIDTH)), file=file)
+
+
+def fitted(table: Table, width: int | None) -> tuple[Table, int, list[int]]:
+    """Return a table with the columns that fit a terminal, the blanks between two of them, and the width of each.
+
+    ``width`` None: all of them.
+    """
+    widths = [max(map(_cell_width, [name, *(row[i] for row in table.rows)])) for i, name in enumerate(table.header)]
+    kept = list(range(len(widths)))
+    if width is None:
+        return table, 2 if len(kept) <= _MANY else 1, widths
+
+    def excess(gap: int) -> int:
+        return sum(widths[i] for i in kept) + gap * (len(kept) - 1) + 2 - width
+
+    # The columns of ``extra`` first, then those farthest to the right; never the key columns, nor all others.
+    going = [i for name in table.extra for i in kept if table.header[i] == name]
+    going += [i for i in reversed(kept[table.n_left :]) if i not in going]
+    n_extra = len(table.extra)
+    while excess(1) > 0:
+        if n_extra <= 0:
+            _fold(widths, table.n_left, excess(1))
+        if excess(1) <= 0 or len(kept) <= table.n_left + 1 or not going:
+            break
+        kept.remove(going.pop(0))
+        n_extra -= 1
+    shown = replace(table, header=[table.header[i] for i in kept], rows=[[row[i] for i in kept] for row in table.rows])
+    return shown, 2 if excess(2) <= 0 and len(kept) <= _MANY else 1, [widths[i] for i in kept]
+
+
+def _fold(widths: list[int], n_left: int, excess: int) -> None:
+    """Narrow the key columns, the widest first, by what a table is too wide."""
+    for _ in range(excess):
+        widest = max(range(n_left), key=widths.__getitem__)
+        if widths[widest] <= _NARROWEST:
+            return
+        widths[widest] -= 1
+
+
+def _cell_width(text: str) -> int:
+    from rich.cells import cell_len
+
+    return max(map(cell_len, text.split("\n")))
+
+
+def _print_table(table: Table, gap: int, widths: Sequence[int], width: int | None, file: TextIO) -> None:
     from rich.box import SIMPLE, Box
     from rich.console import Console
-    from rich.measure import Measurement
     from rich.table import Table as RichTable
+    from rich.text import Text
 
-    is_terminal = Console(file=file).is_terminal
-    box = SIMPLE if is_terminal else Box(str(SIMPLE).replace("\u2500", "-"), ascii=True)
-    for table in tables:
-        padding = (0, 1, 0, 0) if len(table.header) <= _MANY else 0
-        rich = RichTable(title=table.title or None, title_justify="left", box=box, padding=padding, pad_edge=False)
-        for i, name in enumerate(table.header):
-            rich.add_column(name, justify="left" if i < table.n_left else "right", no_wrap=True)
-        for i, row in enumerate(table.rows):
-            rich.add_row(*row, end_section=i in table.sections)
-        wide = Console(file=file, width=10_000)
-        width = max(Measurement.get(wide, wide.options, rich).maximum, len(table.title))
-        Console(file=file, width=width, highlight=False, markup=False, emoji=False).print(rich)
-    for note in notes:
-        print(textwrap.fill(note, _NOTE_WIDTH), file=file)
+    box = Box(str(SIMPLE).replace("\u2500", "-"), ascii=True) if width is None else SIMPLE
+    rich = RichTable(box=box, padding=(0, gap - 1, 0, 0), pad_edge=False)
+    for i, name in enumerate(table.header):
+        is_key = i < table.n_left
+        rich.add_column(name, justify="left" if is_key else "right", no_wrap=not is_key, overflow="fold", width=widths[i])
+    for i, row in enumerate(table.rows):
+        rich.add_row(*row, end_section=i in table.sections)
+    if table.title:
+        title = Console(file=file, width=width or 10_000, highlight=False, markup=False, emoji=False)
+        title.print(Text(table.title, style="italic"))
+    full = sum(widths) + gap * (len(widths) - 1) + 2
+    Console(file=file, width=full, highlight=False, markup=False, emoji=False).print(rich)
 
 
 def to_markdown(tables: Sequence[Table], notes: Sequence[str]) -> str:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nptrace_base.errors import NptraceError
+from traces.identity import camera_text
+from traces.identity import point_text as _text
 
 #: Pixel orders that ``pixel_order`` knows.
 ORDERS = ("scanline", "tile", "morton", "hilbert", "random")
@@ -163,8 +165,7 @@ def parse_camera(text: str) -> Camera:
 
 def format_camera(camera: Camera) -> str:
     """Return the text from which ``parse_camera`` makes exactly this camera."""
-    eye, at, up = (_text(point) for point in (camera.eye, camera.look_at, camera.up))
-    return f"eye={eye} at={at} up={up} fov={camera.fov!r}"
+    return camera_text(camera)
 
 
 def parse_point(text: str) -> Point:
@@ -277,7 +278,3 @@ def _number(word: str) -> float:
         return float(word)
     except ValueError:
         raise NptraceError(f"{word!r} is not a number; write e.g. 1, 2.5 or -3e2") from None
-
-
-def _text(point) -> str:
-    return ",".join(map(repr, point))

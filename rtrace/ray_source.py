@@ -12,11 +12,13 @@ import numpy as np
 
 from rtrace.camera import pixel_order
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
-from rtrace.render import Shooting, command_of
+from rtrace.render import Shooting, command_of, footer_of
+from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
 from rtrace.traverse import NoRoomError
 from rtrace.trees.tree import Tree, node_table
 from traces.format import LEAF, PRIMARY, SHADOW
+from traces.identity import identity_of
 from traces.node_formats import NODE_FORMATS
 
 _STRIP = 512  # pixels: eight squares of 8 x 8, one strip of Manta's tile
@@ -39,8 +41,8 @@ class RayUnits:
 
     Attributes
     ----------
-    name : str
-        As ``render`` names the run, with ``(stand-in)`` when the scene is one.
+    identity : RunIdentity
+        Under the name that ``render`` gives the run, which is not on disk.
     n_positions : int
     key : str
         The command that makes the run, and the scene: everything that decides its accesses.
@@ -60,7 +62,7 @@ class RayUnits:
         self._frame = scene.camera.frame(shooting.width, shooting.height)
         self._pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
         self._n_pixels = len(self._pixels)
-        self.name = f"{scene.name}-{tree.kind}" + (" (stand-in)" if scene.stand_in else "")
+        self.identity = identity_of(footer_of(scene, tree, shooting, ""), run_name(scene, tree.kind, tree.params, shooting))
         self.key = f"{scene.sha256}\n{command_of(scene, tree, shooting)}"
         self.unit = unit_of(shooting)
         self.row = max(shooting.width, self.unit) if shooting.order == "scanline" else self.unit

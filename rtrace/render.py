@@ -20,12 +20,14 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 from rtrace.camera import ORDERS, check_size, format_camera, pixel_order
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
 from rtrace.traverse import NoRoomError
 from rtrace.trees.tree import Tree, node_table
 from rtrace.trees.tree_cache import cached_tree
 from traces.footer import CameraFacts, Footer, SceneFacts, TreeFacts
-from traces.format import BOX, PRIMARY, SHADOW, SPLIT
+from traces.format import BOX, PRIMARY, SHADOW, SPLIT, printable
+from traces.identity import RunIdentity, identity_of
 from traces.node_formats import NODE_FORMATS
 from traces.writer import RunWriter, refuse_other
 
@@ -68,7 +70,7 @@ class Shooting:
 class Summary(NamedTuple):
     """The counts of a run, for a line of output."""
 
-    path: str
+    identity: RunIdentity
     n_triangles: int
     n_nodes: int
     n_rays: int
@@ -78,6 +80,11 @@ class Summary(NamedTuple):
     n_accesses: int  # demand, of nodes in memory; prefetch requests are counted separately
     n_prefetches: int
     n_bytes: int  # of the four files
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of the run."""
+        counts = {name: value for name, value in self._asdict().items() if name != "identity"}
+        return {**self.identity.to_dict(), **counts}
 
     @property
     def hit_share(self) -> float:
@@ -155,7 +162,7 @@ def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
     if node_format.version > 1:
         builder += ["--bvh-nodes", str(node_format.node_bytes)]
     words = [
-        "nptrace", "render", scene.source, "--accel", node_format.tree, "--size", f"{shooting.width}x{shooting.height}",
+        "nptrace", "render", scene.source, "--accel", node_format.tree, "--pixels", f"{shooting.width}x{shooting.height}",
         "--camera", format_camera(scene.camera), "--light", ",".join(map(repr, scene.light)),
         "--order", shooting.order, "--batch", str(shooting.batch), "--seed", str(shooting.seed), *builder,
     ]  # fmt: skip
@@ -196,7 +203,8 @@ def render(
     fields = SPLIT if node_format.tree == "kdtree" else BOX
     picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
     n_rays = n_accesses = n_prefetches = n_leaves = n_shadow = n_hits = n_shadowed = 0
-    with RunWriter(path, footer_of(scene, tree, shooting, tool_version), fields) as run:
+    footer = footer_of(scene, tree, shooting, tool_version)
+    with RunWriter(path, footer, fields) as run:
         run.append("nodes", partial(node_table, tree))
         for chunk in chunks(tree, scene, shooting, threads):
             chunk.rays["ray"] += np.uint32(n_rays)
@@ -218,7 +226,8 @@ def render(
         run.image(_png(picture.reshape(shooting.height, shooting.width, 3)))
     n_bytes = sum(file.stat().st_size for file in path.iterdir())
     return Summary(
-        str(path), len(scene.triangles), len(tree.nodes), n_rays, n_hits, n_shadow, n_shadowed,
+        identity_of(footer, printable(path.name), printable(str(path))), len(scene.triangles),
+        len(tree.nodes), n_rays, n_hits, n_shadow, n_shadowed,
         n_accesses - n_prefetches - n_leaves, n_prefetches, n_bytes,
     )  # fmt: skip
 
@@ -235,21 +244,23 @@ def render_all(
     tool_version: str = "",
     progress: Callable[[int], object] = lambda pixels: None,
 ) -> Iterator[Summary]:
-    """Render each scene with each tree of ``params`` (kind -> builder parameters) as ``folder/<scene>-<kind>``.
+    """Render each scene with each tree of ``params`` (kind -> builder parameters) as a run in ``folder``.
 
-    The trees are built by threads ahead of the pictures; summaries come as the runs are written. ``names`` replace the scenes'
-    names in those of the runs.
+    ``run_names`` names the runs; with ``names``, one per scene, they are ``<name>-<tree>``. The trees are built by threads
+    ahead of the pictures; summaries come as the runs are written.
 
     Raises
     ------
     NptraceError
         Two scenes would have one run, or another run exists and ``overwrite`` is not set; nothing is traced then.
     """
-    names = names or [scene.name for scene in scenes]
-    paths = [folder / f"{name}-{kind}" for name in names for kind in params]
+    paths = [
+        folder / (f"{names[i]}-{kind}" if names else run_name(scene, kind, given, shooting))
+        for i, scene in enumerate(scenes) for kind, given in params.items()
+    ]  # fmt: skip
     twice = next((path for path in paths if paths.count(path) > 1), None)
     if twice is not None:
-        raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE")
+        raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE and --camera")
     with thread_pool(threads) as pool:
         jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
         for path, (scene, tree) in zip(paths, jobs, strict=True):

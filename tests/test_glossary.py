@@ -12,7 +12,7 @@ import nptrace_base.tables
 from rtrace.checks import hard_cases
 
 GLOSSARY = (Path(cli.__file__).resolve().parent / "docs" / "glossary.md").read_text(encoding="utf-8")
-SMALL = ["--size", "16x16", "--offline"]
+SMALL = ["--pixels", "16x16", "--offline"]
 CACHES = ["--size", "1K,2K", "--assoc", "1,2"]
 
 
@@ -22,7 +22,7 @@ def headings_and_keys(tmp_path_factory):
     traces = tmp_path_factory.mktemp("traces")
     headings, keys = set(), set()
 
-    def record(tables, notes, file):
+    def record(tables, notes, file, **options):
         headings.update(name.replace("-\n", "").replace("\n", " ") for table in tables for name in table.header)
 
     def run(program, *args):

@@ -24,6 +24,7 @@ from traces.format import (
     RunError,
     printable,
 )
+from traces.identity import RunIdentity, identity_of
 from traces.validation import (
     check_accesses,
     check_nodes,
@@ -55,6 +56,11 @@ class Run:
     def name(self) -> str:
         """The directory's name, ``<scene>-<tree>``."""
         return printable(self.path.name)
+
+    @property
+    def identity(self) -> RunIdentity:
+        """What tells this run from others, for the rows of results."""
+        return identity_of(self.footer, self.name, printable(str(self.path)))
 
     @property
     def n_nodes(self) -> int:

@@ -5,15 +5,21 @@ from typing import Any
 
 from cachesim.config import format_bytes
 from cachesim.report.table1 import HIT_CYCLES, MISS_CYCLES, NAMES, PAPER_N, TREES, Key, acpr, paper_table
-from cachesim.sampling.estimate import CONFIDENCE, Cell, Estimated
+from cachesim.sampling.estimate import CONFIDENCE, OF_THE_RUN, QUANTITIES, Cell, Estimated
 from cachesim.sampling.two_phase import Interval
 from nptrace_base.tables import Table, number
+from traces.identity import labels
 
 NOTES = (
     f"value +-half-width: all values of a run lie within their half-widths at once in {100 * CONFIDENCE:.0f} % of the seeds; "
     "exact values have none. A: without, B: with prefetching; demand: demand misses / demand accesses; paper: all misses / "
     "all accesses; traffic: KB B / KB A.",
 )
+
+#: Columns without which a narrow terminal does, the first to go first.
+_EXTRA = ("KB A", "KB B", "traffic\nB/A %", "paper\nB/A %", "demand\nB/A %")
+_COST_EXTRA = ("units", "sampled", "target", "accesses\nper ray")
+_TABLE1_EXTRA = ("ACPR\nA", "ACPR\nB", "ACPR\nB/A", "KB\nA", "KB\nB", "demand\nA", "KB\nB/A")
 
 _COLUMNS = {
     "demand_miss_rate_without": "demand A\n%",
@@ -42,7 +48,7 @@ def _up(half: float, decimals: int) -> float:
 
 def tables(results: Sequence[Estimated]) -> tuple[list[Table], list[str]]:
     """Return one table per run, a table of costs, and the notes below them."""
-    made = []
+    made, names = [], labels(result.identity for result in results)
     for result in results:
         rows = []
         for cell in result.cells:
@@ -51,22 +57,25 @@ def tables(results: Sequence[Estimated]) -> tuple[list[Table], list[str]]:
                 scale, decimals = (1 / 1024, 0) if name.startswith("bytes") else (100.0, 2 if "ratio" in name else 3)
                 row.append(_value(cell.values[name], scale, decimals))
             rows.append(row)
-        made.append(Table(result.run, ["cache", "method", *_COLUMNS.values()], rows, n_left=2))
+        header = ["cache", "method", *_COLUMNS.values()]
+        made.append(Table(names[result.identity], header, rows, n_left=2, extra=_EXTRA))
     return [*made, _cost(results)], [*NOTES, *_reasons(results)]
 
 
 def _cost(results: Sequence[Estimated]) -> Table:
+    names = labels(result.identity for result in results)
     header = ["run", "target", "units", "sampled", "rays\ntraced %", "seconds", "exact run,\nseconds", "accesses\nper ray"]
     rows = [
-        [r.run, r.target, number(r.n_units), number(r.n_sampled), number(100 * r.share, 1), number(r.seconds, 2),
+        [names[r.identity], r.target, number(r.n_units), number(r.n_sampled), number(100 * r.share, 1), number(r.seconds, 2),
          ("" if r.method == "exact" else "about ") + number(r.exact_seconds, 2), _value(r.accesses_per_ray, 1.0, 2)]
         for r in results
     ]  # fmt: skip
-    return Table("cost", header, rows, n_left=2)
+    return Table("cost", header, rows, n_left=2, extra=_COST_EXTRA)
 
 
 def _reasons(results: Sequence[Estimated]) -> list[str]:
-    return [f"{r.run} was counted exactly: {r.reason}." for r in results if r.reason]
+    names = labels(result.identity for result in results)
+    return [f"{names[r.identity]} was counted exactly: {r.reason}." for r in results if r.reason]
 
 
 def table1_tables(results: Sequence[tuple[str, str, Estimated]]) -> tuple[list[Table], list[str]]:
@@ -86,7 +95,7 @@ def table1_tables(results: Sequence[tuple[str, str, Estimated]]) -> tuple[list[T
             for k, cell in enumerate(result.cells):
                 row = _table1_values(tree, cell)
                 key: Key = (tree, scene, cell.config.size_bytes, cell.config.ways)
-                name = scene.title() if k == 0 else ("(stand-in)" if k == 1 and "(stand-in)" in result.run else "")
+                name = scene.title() if k == 0 else ("(stand-in)" if k == 1 and result.identity.stand_in else "")
                 cache = f"{format_bytes(cell.config.size_bytes)}({cell.config.ways})"
                 decimals = [0 if n in ("kb_a", "kb_b") else 2 for n in row]
                 ours = [number(v and v.value, d, group="") for v, d in zip(row.values(), decimals, strict=True)]
@@ -100,7 +109,7 @@ def table1_tables(results: Sequence[tuple[str, str, Estimated]]) -> tuple[list[T
                 lines.append(["", "", "paper", *theirs])
             sections.add(len(lines) - 1)
         if lines:
-            made.append(Table(title, header, lines, n_left=3, sections=sections))
+            made.append(Table(title, header, lines, n_left=3, sections=sections, extra=_TABLE1_EXTRA))
     estimated = [result for _, _, result in results]
     return [*made, _cost(estimated)], [*NOTES, *_reasons(estimated)]
 
@@ -140,6 +149,28 @@ def _table1_values(tree: str, cell: Cell) -> dict[str, Interval | None]:
     }
 
 
-def table1_dicts(results: Sequence[tuple[str, str, Estimated]]) -> list[dict[str, Any]]:
-    """Return the same as JSON values, one object per run."""
-    return [{"tree": tree, "scene": scene, **result.to_dict()} for tree, scene, result in results]
+def records(results: Sequence[Estimated], form: str) -> list[dict[str, Any]]:
+    """Return one record per run with its cells for ``json``, and flat ones for other formats."""
+    return [result.to_dict() for result in results] if form == "json" else flat(results)
+
+
+def flat(results: Sequence[Estimated]) -> list[dict[str, Any]]:
+    """Return one flat record per run and cache, for CSV and Parquet; ``_half_width`` is that of the quantity before it."""
+    records = []
+    for result in results:
+        of_run = {name: value for name, value in result.to_dict().items() if name != "cells"}
+        of_run["flags"] = "; ".join(result.flags)
+        records += [_flat({**of_run, **cell}) for cell in result.to_dict()["cells"]]
+    return records
+
+
+def _flat(record: dict[str, Any]) -> dict[str, Any]:
+    quantities = (*OF_THE_RUN, *QUANTITIES)
+    values: dict[str, Any] = {}
+    for name, value in record.items():
+        if name in quantities:
+            values[name] = value and value["value"]
+            values[f"{name}_half_width"] = value and value["half_width"]
+        else:
+            values[name] = value
+    return values

@@ -1,17 +1,16 @@
-"""Results of ``npcache replay`` as tables, JSON, CSV, and DineroIV's statistics."""
+"""Results of ``npcache replay`` as tables and as DineroIV's statistics."""
 
-import csv
-import io
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 from cachesim.access import PREFETCH
 from cachesim.report.dinero import dinero_block
 from cachesim.result import Result
 from nptrace_base.tables import Table, number, percent
+from traces.identity import RunIdentity, labels
 
-_NOTES = (
+#: What the rates of a replay and of a sweep are.
+RATES = (
     "demand miss rate = demand misses / demand accesses; paper miss rate = all misses / all accesses (demand + prefetch); "
     "KB = lines filled x line bytes.",
 )
@@ -26,33 +25,26 @@ _PREFETCH_NOTES = (
 )
 
 
-def to_json(results: Sequence[Result]) -> str:
-    """Return a JSON array with one object per result."""
-    return json.dumps([result.to_dict() for result in results], indent=2) + "\n"
-
-
-def to_csv(results: Sequence[Result]) -> str:
-    """Return CSV with a header, one line per result; an empty field is a rate whose denominator is 0."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, list(results[0].to_dict()), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(result.to_dict() for result in results)
-    return out.getvalue()
+#: Columns without which a narrow terminal does, the first to go first.
+_EXTRA = ("traffic\nratio", "KB from\nmemory", "coverage\n%", "demand\naccesses", "compulsory")
+_PREFETCH_EXTRA = ("resident", "redundant", "pollution", "useless")
 
 
 def to_dinero(results: Sequence[Result]) -> str:
     """Return DineroIV's statistics block of every result; with several, each after a line that names it."""
     if len(results) == 1:
         return dinero_block(results[0])
-    return "".join(f"{_source(result)}, {result.config}\n{dinero_block(result)}" for result in results)
+    names = labels(result.identity for result in results)
+    return "".join(f"{_source(result, names)}, {result.config}\n{dinero_block(result)}" for result in results)
 
 
 def tables(results: Sequence[Result]) -> tuple[list[Table], list[str]]:
     """Return the tables, grouped by source, and the notes below them."""
     made = []
-    for _, group in groupby(results, key=_source):
-        made += _tables_of_group(list(group))
-    notes = list(_NOTES)
+    names = labels(result.identity for result in results)
+    for title, group in groupby(results, key=lambda result: _source(result, names)):
+        made += _tables_of_group(title, names, list(group))
+    notes = list(RATES)
     if any(result.has_3c for result in results):
         notes.append(_3C_NOTE)
     if any(result.prefetch_accesses for result in results):
@@ -60,12 +52,12 @@ def tables(results: Sequence[Result]) -> tuple[list[Table], list[str]]:
     return made, notes
 
 
-def _source(result: Result) -> str:
+def _source(result: Result, names: Mapping[RunIdentity, str]) -> str:
     layout = f", layout {result.layout}" if result.layout != "stored" else ""
-    return f"{result.run}, prefetch {result.prefetch}{layout}"
+    return f"{names[result.identity]}, prefetch {result.prefetch}{layout}"
 
 
-def _tables_of_group(results: list[Result]) -> list[Table]:
+def _tables_of_group(title: str, names: Mapping[RunIdentity, str], results: list[Result]) -> list[Table]:
     has_3c, has_prefetch = results[0].has_3c, any(result.prefetch_accesses for result in results)
     header = ["cache", "demand\naccesses", "demand\nmisses", "demand\nmiss rate %", "paper\nmiss rate %"]
     header += ["compulsory", "capacity", "conflict"] if has_3c else []
@@ -78,7 +70,7 @@ def _tables_of_group(results: list[Result]) -> list[Table]:
             row += [number(int(kind[:PREFETCH].sum())) for kind in (r.compulsory, r.capacity, r.conflict)]
         row.append(number(r.bytes_from_memory / 1024))
         rows.append(row + ([percent(r.coverage), number(r.traffic_ratio, 3)] if has_prefetch else []))
-    made = [Table(_source(results[0]), header, rows)]
+    made = [Table(title, header, rows, extra=_EXTRA)]
     if has_prefetch:
         header = ["cache", "issued", "redundant", "filled", "useful", "useless", "resident", "accuracy %", "pollution"]
         rows = [
@@ -88,5 +80,5 @@ def _tables_of_group(results: list[Result]) -> list[Table]:
             + [percent(r.accuracy), number(r.pollution)]
             for r in results
         ]
-        made.append(Table(f"prefetches of {results[0].run}", header, rows))
+        made.append(Table(f"prefetches of {title}", header, rows, extra=_PREFETCH_EXTRA))
     return made

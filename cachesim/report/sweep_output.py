@@ -1,46 +1,45 @@
-"""A sweep on disk: rows of ``cachesim.sweep`` -> CSV, Parquet, and a plot of miss rate over size and ways."""
+"""A sweep for people: rows of ``cachesim.sweep`` -> a table, and a plot of miss rate over size and ways."""
 
-import csv
-import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cachesim.config import format_bytes
+from cachesim.report.replay_tables import RATES
+from cachesim.result import ratio
 from cachesim.sweep import SweepRow
 from nptrace_base.atomic import is_special, whole_file
 from nptrace_base.errors import NptraceError
+from nptrace_base.tables import Table, number, percent
+from traces.identity import RunIdentity, labels
 
-#: The formats of a sweep, by the ending of a name.
-TABLES = (".csv", ".parquet")
+#: The formats of a plot, by the ending of a name.
 PICTURES = (".png", ".svg", ".pdf")
 
 
-def to_csv(rows: Sequence[SweepRow]) -> str:
-    """Return CSV with a header, one line per row; an empty field is a rate whose denominator is 0."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, list(rows[0].to_dict()), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(row.to_dict() for row in rows)
-    return out.getvalue()
-
-
-def write(rows: Sequence[SweepRow], path: Path) -> None:
-    """Write rows as a CSV or Parquet file, atomically; the ending of its name chooses."""
-    ending = ending_of(path, TABLES)
-    with whole_file(path) as temporary, open(temporary, "wb") as file:
-        if ending == ".csv":
-            file.write(to_csv(rows).encode("utf-8", "surrogateescape"))
-            return
-        # Parquet holds UTF-8, and a run's name may not be UTF-8.
-        dicts = [{**row.to_dict(), "run": row.run.encode("utf-8", "backslashreplace").decode()} for row in rows]
-        types_of = {str: pa.string(), int: pa.int64()}  # the others are rates, and may be None
-        fields = [pa.field(name, types_of.get(type(value), pa.float64())) for name, value in dicts[0].items()]
-        pq.write_table(pa.Table.from_pylist(dicts, pa.schema(fields)), file)
+def tables(rows: Sequence[SweepRow]) -> tuple[list[Table], list[str]]:
+    """Return the table, with a key column for all that varies, and the notes below it."""
+    names = labels(row.identity for row in rows)
+    keys = {
+        "run": [names[row.identity] for row in rows],
+        "prefetch": [row.prefetch for row in rows],
+        "layout": [row.layout for row in rows],
+        "cache": [str(row.config) for row in rows],
+    }
+    shown = [name for name, cells in keys.items() if name in ("run", "cache") or len(set(cells)) > 1]
+    header = [*shown, "demand\naccesses", "demand\nmisses", "demand\nmiss rate %", "paper\nmiss rate %", "KB from\nmemory"]
+    lines = [
+        [
+            *(keys[name][i] for name in shown), number(row.demand_accesses), number(row.demand_misses),
+            percent(ratio(row.demand_misses, row.demand_accesses)), percent(row.to_dict()["paper_miss_rate"]),
+            number(row.to_dict()["bytes_from_memory"] / 1024),
+        ]
+        for i, row in enumerate(rows)
+    ]  # fmt: skip
+    extra = ("demand\naccesses", "KB from\nmemory", "demand\nmisses")
+    return [Table("", header, lines, n_left=len(shown), extra=extra)], list(RATES)
 
 
 def ending_of(path: Path, endings: Sequence[str]) -> str:
@@ -58,8 +57,8 @@ def ending_of(path: Path, endings: Sequence[str]) -> str:
 def plot(rows: Sequence[SweepRow], path: Path) -> None:
     """Draw the demand miss rate over size, a curve per number of ways, as a PNG, SVG or PDF file by the ending of its name.
 
-    One panel for each run (with its prefetches and layout) and line size. Of more than six numbers of ways, the powers of two
-    are drawn. Solid: with prefetching; dashed: without, where there is any.
+    One panel for each run, prefetch policy, layout and line size; in it, a curve for each number of ways, of more than six
+    for the powers of two. Solid: with prefetching; dashed: without, where there is any.
     """
     ending = ending_of(path, PICTURES)
     with whole_file(path) as temporary:
@@ -69,16 +68,17 @@ def plot(rows: Sequence[SweepRow], path: Path) -> None:
         except ImportError:
             raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
         with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 9}):
-            runs = list(dict.fromkeys(map(_run_of, rows)))
+            names = labels(row.identity for row in rows)
+            runs = list(dict.fromkeys(map(_panel_of, rows)))
             line_sizes = sorted({row.config.line_bytes for row in rows})
             figure = Figure(figsize=(1.4 + 3.1 * len(line_sizes), 0.6 + 2.6 * len(runs)), layout="constrained")
             panels = figure.subplots(len(runs), len(line_sizes), sharex=True, sharey="row", squeeze=False)
             styles = _styles(rows)
             for run, panel_row in zip(runs, panels, strict=True):
                 for line_bytes, panel in zip(line_sizes, panel_row, strict=True):
-                    shown = [row for row in rows if _run_of(row) == run and row.config.line_bytes == line_bytes]
+                    shown = [row for row in rows if _panel_of(row) == run and row.config.line_bytes == line_bytes]
                     _draw_panel(panel, shown, styles)
-                    panel.set_title(f"{run[0]}, {format_bytes(line_bytes)} B lines{run[1]}", fontsize=9)
+                    panel.set_title(_title(run, names, line_bytes), fontsize=9)
             figure.supxlabel("cache size (bytes, K = 1024)", fontsize=9)
             figure.supylabel("demand misses / demand accesses (%)", fontsize=9)
             _draw_legend(figure, styles, has_prefetch=any(row.prefetch_accesses for row in rows))
@@ -87,10 +87,15 @@ def plot(rows: Sequence[SweepRow], path: Path) -> None:
             figure.savefig(temporary, dpi=200, metadata=stamps.get(ending), format=ending[1:])
 
 
-def _run_of(row: SweepRow) -> tuple[str, str]:
-    """Return the name of a run, and the other settings that tell its rows apart."""
-    settings = [row.prefetch] * (row.prefetch not in ("none", "traced")) + [row.layout] * (row.layout != "stored")
-    return row.run, "".join(f", {setting}" for setting in settings)
+def _panel_of(row: SweepRow) -> tuple[RunIdentity, str, str]:
+    """Return what tells the curves of a panel row from others: the run, the prefetches and the layout."""
+    return row.identity, row.prefetch, row.layout
+
+
+def _title(of: tuple[RunIdentity, str, str], names: Mapping[RunIdentity, str], line_bytes: int) -> str:
+    run, prefetch, layout = of
+    settings = [f"{format_bytes(line_bytes)} B lines", f"prefetch {prefetch}"] + [layout] * (layout != "stored")
+    return f"{names[run]}\n{', '.join(settings)}"
 
 
 def _ways_of(row: SweepRow) -> int | str:

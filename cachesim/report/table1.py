@@ -15,6 +15,7 @@ from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.result import Result, ratio
 from nptrace_base.errors import NptraceError
+from traces.identity import RunIdentity
 from traces.reader import Run
 
 TREES = {"kdtree": "kd-tree", "bvh": "BVH"}
@@ -41,12 +42,17 @@ class Table1Row:
 
     tree: str
     scene: str
-    is_stand_in: bool
+    identity: RunIdentity
     size_bytes: int
     ways: int
     ours: dict[str, float | None]
     paper: dict[str, float]
     nodes_per_ray: float | None
+
+    @property
+    def is_stand_in(self) -> bool:
+        """Whether the scene is not the paper's."""
+        return bool(self.identity.stand_in)
 
     @property
     def scene_title(self) -> str:
@@ -117,11 +123,11 @@ def table1(
         keys = [key for key in paper if key[:2] == (tree, scene)]
         configs = [CacheConfig(size, ways, 32) for _, _, size, ways in keys]
         for key, result in zip(keys, replay(run, configs, threads=threads, progress=progress), strict=True):
-            rows.append(_row(key, run.footer.scene.stand_in, result, paper[key]))
+            rows.append(_row(key, run.identity, result, paper[key]))
     return rows
 
 
-def _row(key: Key, is_stand_in: bool, result: Result, paper: dict[str, float]) -> Table1Row:
+def _row(key: Key, identity: RunIdentity, result: Result, paper: dict[str, float]) -> Table1Row:
     tree, scene, size_bytes, ways = key
     miss_a = ratio(result.demand_misses_without, result.demand_accesses)
     miss_b, n = result.paper_miss_rate, PAPER_N[tree]
@@ -142,45 +148,46 @@ def _row(key: Key, is_stand_in: bool, result: Result, paper: dict[str, float]) -
         "accuracy": _percent(result.accuracy),
     }
     per_ray = ratio(result.demand_accesses, result.n_rays or 0)
-    return Table1Row(tree, scene, is_stand_in, size_bytes, ways, {n: ours[n] for n in NAMES} | demand, paper, per_ray)
+    return Table1Row(tree, scene, identity, size_bytes, ways, {n: ours[n] for n in NAMES} | demand, paper, per_ray)
 
 
 def _percent(fraction: float | None) -> float | None:
     return None if fraction is None else 100 * fraction
 
 
+#: The columns of a record that come from ``NAMES`` and ``DEMAND_NAMES``: the name that all results use, and what divides ours
+#: to give fractions and bytes.
+_RECORD: dict[str, tuple[str, float]] = {
+    "miss_a": ("demand_miss_rate_without", 100), "miss_b": ("paper_miss_rate", 100), "miss_ratio": ("paper_ratio", 100),
+    "kb_a": ("bytes_from_memory_without", 1 / 1024), "kb_b": ("bytes_from_memory", 1 / 1024),
+    "kb_ratio": ("traffic_ratio", 100),
+    "acpr_a": ("acpr_without", 1), "acpr_b": ("acpr", 1), "acpr_ratio": ("acpr_ratio", 100),
+    "demand_accesses": ("demand_accesses", 1), "prefetches": ("prefetch_accesses", 1),
+    "demand_miss_b": ("demand_miss_rate", 100), "demand_ratio": ("demand_ratio", 100), "coverage": ("coverage", 100),
+    "accuracy": ("accuracy", 100),
+}  # fmt: skip
+_COUNTS = ("bytes_from_memory_without", "bytes_from_memory", "demand_accesses", "prefetch_accesses")
+
+
 def to_dicts(rows: Iterable[Table1Row]) -> list[dict[str, Any]]:
-    """Return the rows as JSON values: the columns of the CSV, and the measured N with its ACPR."""
-    return [
-        _flat(row) | {
-            "stand_in": row.is_stand_in,
-            "nodes_per_ray": row.nodes_per_ray,
-            "acpr_a_measured_n": row.measured_acpr("acpr_a"),
-            "acpr_b_measured_n": row.measured_acpr("acpr_b"),
-        }
-        for row in rows
-    ]  # fmt: skip
+    """Return the rows as records, in fractions and bytes; ``_paper`` is the paper's number."""
+    return [_record(row) for row in rows]
 
 
-def _flat(row: Table1Row) -> dict[str, Any]:
-    values: dict[str, Any] = {
-        "tree": row.tree, "scene": row.scene_title, "size_bytes": row.size_bytes, "ways": row.ways
-    }  # fmt: skip
-    for name in NAMES:
-        values[name], values[f"{name}_paper"] = row.ours[name], row.paper[name]
-    return values | {name: row.ours[name] for name in DEMAND_NAMES}
+def _record(row: Table1Row) -> dict[str, Any]:
+    values: dict[str, Any] = {**row.identity.to_dict(), "scene": row.scene, "size_bytes": row.size_bytes, "ways": row.ways}
+    for name, (column, by) in _RECORD.items():
+        values[column] = _divided(row.ours[name], by, column)
+        if name in NAMES:
+            values[f"{column}_paper"] = _divided(row.paper[name], by, column)
+    return values | {
+        "accesses_per_ray": row.nodes_per_ray,
+        "acpr_without_measured_n": row.measured_acpr("acpr_a"),
+        "acpr_measured_n": row.measured_acpr("acpr_b"),
+    }
 
 
-def to_csv(rows: Iterable[Table1Row]) -> str:
-    """Return the rows as CSV with a header; an empty field is a rate whose denominator is 0."""
-    header = ["tree", "scene", "size_bytes", "ways"]
-    header += [each for name in NAMES for each in (name, f"{name}_paper")] + list(DEMAND_NAMES)
-    lines = [",".join(header)]
-    lines += [",".join(_csv_field(value) for value in _flat(row).values()) for row in rows]
-    return "\n".join(lines) + "\n"
-
-
-def _csv_field(value: Any) -> str:
+def _divided(value: float | None, by: float, column: str) -> float | int | None:
     if value is None:
-        return ""
-    return str(round(value, 4) if isinstance(value, float) else value)
+        return None
+    return round(value / by) if column in _COUNTS else round(value / by, 12)

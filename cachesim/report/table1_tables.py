@@ -11,6 +11,8 @@ _HEADER = (
     + [f"{group}\n{column}" for group in ("miss", "KB", "ACPR") for column in ("A", "B", "B/A")]
     + ["demand\nA", "demand\nB", "demand\nB/A", "cover-\nage", "accu-\nracy"]
 )
+#: Columns without which a narrow terminal does, the first to go first.
+_EXTRA = ("accu-\nracy", "cover-\nage", "ACPR\nA", "ACPR\nB", "KB\nA", "KB\nB")
 _DECIMALS = {"miss_a": 1, "miss_b": 1, "kb_a": 0, "kb_b": 0}
 _DEMAND = ("demand_miss_a", "demand_miss_b", "demand_ratio", "coverage", "accuracy")
 
@@ -57,7 +59,7 @@ def _tree_table(title: str, rows: Sequence[Table1Row]) -> Table:
         lines += [ours, paper + [""] * len(_DEMAND), diff + [""] * len(_DEMAND)]
         if row.size_bytes == rows[-1].size_bytes and row.ways == rows[-1].ways:
             sections.add(len(lines) - 1)
-    return Table(title, _HEADER, lines, n_left=3, sections=sections)
+    return Table(title, _HEADER, lines, n_left=3, sections=sections, extra=_EXTRA)
 
 
 def _acpr_table(rows: Sequence[Table1Row]) -> Table:

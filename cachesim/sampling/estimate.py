@@ -33,6 +33,7 @@ from cachesim.sampling.strata import Design, weights
 from cachesim.sampling.target import Target
 from cachesim.sampling.two_phase import Interval, value_of
 from cachesim.sampling.unit_counts import UnitCounts, UnitSource
+from traces.identity import RunIdentity
 
 #: Of the intervals that an estimate states, all at once.
 CONFIDENCE = 0.95
@@ -71,7 +72,7 @@ class Estimated:
         What was found to be out of a sample's reach.
     """
 
-    run: str
+    identity: RunIdentity
     method: str
     reason: str
     cells: list[Cell]
@@ -93,8 +94,9 @@ class Estimated:
             return None if value is None else {"value": value.value, "half_width": value.half, "unsettled": value.bracket}
 
         return {
-            "run": self.run, "method": self.method, "reason": self.reason, "target": self.target, "confidence": CONFIDENCE,
-            "seed": self.seed, "units": self.n_units, "units_sampled": self.n_sampled, "share_of_rays": self.share,
+            **self.identity.to_dict(), "method": self.method, "reason": self.reason, "target": self.target,
+            "confidence": CONFIDENCE, "seed": self.seed,
+            "units": self.n_units, "units_sampled": self.n_sampled, "share_of_rays": self.share,
             "seconds": self.seconds, "exact_seconds": self.exact_seconds, "flags": self.flags,
             "accesses_per_ray": interval(self.accesses_per_ray),
             "prefetches_per_access": interval(self.prefetches_per_access),
@@ -198,7 +200,7 @@ def _result(
     ]  # fmt: skip
     per_ray, per_access = defined[: len(OF_THE_RUN)]
     return Estimated(
-        call.source.name, method, reason, cells, per_ray, per_access,
+        call.source.identity, method, reason, cells, per_ray, per_access,
         n_units=call.counts.n_units, n_sampled=n_sampled, share=call.counts.n_traced / call.source.n_positions,
         seconds=seconds, exact_seconds=exact_seconds, seed=call.seed, target=str(call.target), flags=list(flags),
     )  # fmt: skip

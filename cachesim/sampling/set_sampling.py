@@ -65,7 +65,7 @@ def sample_sets(
         misses += replay.step(*in_classes(lines, labels, is_taken)).misses
     return [
         SweepRow(
-            source.name, config, str(policy), str(source.layout), n_accesses, int(found[DEMAND]) * every, n_prefetches,
+            source.identity, config, str(policy), str(source.layout), n_accesses, int(found[DEMAND]) * every, n_prefetches,
             int(found[REQUESTS]) * every, int(found[ALONE]) * every,
         )
         for config, found in zip(configs, misses, strict=True)

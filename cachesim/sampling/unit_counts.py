@@ -24,6 +24,7 @@ from cachesim.sampling import resume_file
 from cachesim.sampling.cold_start import N_MISSES, Counts, KnownReplay, check_lru
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
+from traces.identity import RunIdentity
 
 #: The short warm-up: so many positions, or twice, four times ... as many, until there were so many accesses for each line of
 #: the largest cache, but no more than a row.
@@ -56,7 +57,7 @@ class UnitSource(Protocol):
 
     Attributes
     ----------
-    name : str
+    identity : RunIdentity
     key : str
         Everything that decides its accesses.
     n_positions : int
@@ -74,7 +75,7 @@ class UnitSource(Protocol):
         Columns ``parent`` and ``level`` of ``nodes.parquet``.
     """
 
-    name: str
+    identity: RunIdentity
     key: str
     n_positions: int
     unit: int

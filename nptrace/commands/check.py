@@ -1,27 +1,30 @@
 """nptrace check: our hits against Embree's, and the catalogue of hard cases."""
 
-import json
-import sys
-from typing import Any
+import math
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from nptrace.groups import BadInput
+from nptrace.groups import BadInput, Command
+from nptrace.output import Output, results_options
 from nptrace.scene_options import load_scenes, scene_options
 
+if TYPE_CHECKING:
+    from nptrace_base.tables import Table
 
-@click.command()
+
+@click.command(cls=Command, old={"--size": "--pixels"})
 @click.argument("names", metavar="[SCENE]...", nargs=-1)
 @click.option("--hard", is_flag=True, help="Run the catalogue of hard cases, with exact answers, through all structures.")
 @click.option("--long", "is_long", is_flag=True, help="With --hard: run the long form, which takes minutes.")
-@click.option("--size", default="256x256", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
+@click.option("--pixels", default="256x256", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
 @click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="How many random rays.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the random rays.")
 @scene_options
-@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+@results_options()
 def check(
-    names: tuple[str, ...], hard: bool, is_long: bool, size: str, n_random: int, seed: int, strict: bool, offline: bool,
-    as_json: bool,
+    names: tuple[str, ...], hard: bool, is_long: bool, pixels: str, n_random: int, seed: int, strict: bool, offline: bool,
+    output: Output,
 ) -> None:  # fmt: skip
     """Compare both trees with Embree on camera, shadow and random rays; exit with status 1 if a limit is exceeded.
 
@@ -34,7 +37,7 @@ def check(
 
     if not names and not hard:
         raise BadInput("name a scene to compare with Embree, or give --hard")
-    width, height = parse_size(size)
+    width, height = parse_size(pixels)
     rows: list[dict[str, Any]] = []
     if hard:
         from rtrace.checks.hard_cases import run_all
@@ -47,37 +50,42 @@ def check(
         for scene in load_scenes(names, strict, offline):
             trees = [cached_tree(scene, kind) for kind in TREES]
             compared = compare(trees, scene, width, height, n_random, seed)
-            rows += [{"scene": scene.label, **row._asdict(), "is_good": row.is_good} for row in compared]
+            of = {"scene": scene.name, "stand_in": scene.stand_in, "width": width, "height": height, "seed": seed}
+            rows += [{**of, **row._asdict(), "is_good": row.is_good} for row in compared]
     n_bad = sum(not row["is_good"] for row in rows)
-    if as_json:
-        click.echo(json.dumps(rows, indent=2))
-    else:
-        print_checks(rows, f"{len(rows)} comparisons, {n_bad} beyond their limit.")
+    output.write(rows, lambda: (tables_of(rows), [f"{len(rows)} comparisons, {n_bad} beyond their limit."]))
     if n_bad:
         raise SystemExit(1)
 
 
-def print_checks(rows: list[dict[str, Any]], note: str) -> None:
-    """Print comparisons with Embree and hard cases, in separate tables."""
-    from nptrace_base.tables import Table, number, print_tables
+def tables_of(rows: list[dict[str, Any]]) -> "list[Table]":
+    """Return the tables of comparisons with Embree and of hard cases."""
+    from nptrace_base.tables import Table, number
 
     verdict = {True: "ok", False: "BEYOND"}
     counts = ("n_rays", "lost", "invented", "wrong", "unlike", "ambiguous")
     embree = [
-        [r["scene"], r["tree"], r["rays"], number(r["n_rays"]), r["what"], f"{r['value']:.3g}", f"{r['limit']:.3g}",
+        [r["scene"] + " (stand-in)" * r["stand_in"], r["tree"], r["rays"], number(r["n_rays"]), r["what"],
+         f"{r['value']:.3g}", f"{r['limit']:.3g}",
          verdict[r["is_good"]]]
         for r in rows if "scene" in r
     ]  # fmt: skip
     hard = [
-        [r["case"], r["structure"], *(number(r[name]) for name in counts), f"{r['t_error']:.2g}", f"{r['bound']:.2g}",
+        [r["case"], r["structure"], *(number(r[name]) for name in counts), _short(r["t_error"]), _short(r["bound"]),
          verdict[r["is_good"]]]
         for r in rows if "case" in r
     ]  # fmt: skip
     tables = []
     if hard:
         header = ["Hard case", "Structure", "Rays", "Lost", "Invented", "Wrong", "Differ", "Ambiguous", "t error", "Bound", ""]
-        tables.append(Table("", header, hard, n_left=2))
+        extra = ("Bound", "t error", "Ambiguous", "Differ", "Rays")
+        tables.append(Table("", header, hard, n_left=2, extra=extra))
     if embree:
         header = ["Scene", "Tree", "Rays", "Number", "Compared", "Value", "Limit", ""]
         tables.append(Table("", header, embree, n_left=3))
-    print_tables(tables, [note], sys.stdout)
+    return tables
+
+
+def _short(value: float) -> str:
+    """Return a number of two digits; - for infinity, a limit that no error exceeds."""
+    return f"{value:.2g}" if math.isfinite(value) else "-"

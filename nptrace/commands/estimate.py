@@ -1,7 +1,5 @@
 """npcache estimate: miss rates of a large picture from part of its rays."""
 
-import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +9,7 @@ import click
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import BadInput
 from nptrace.options import list_option
-from nptrace.output import output_option
+from nptrace.output import Output, output_option, results_options
 from nptrace.progress import progress_bar
 from nptrace.scene_options import Picture, load_scenes, picture_options, tree_params
 
@@ -38,7 +36,7 @@ def estimate_scenes(
     for scene in scenes:
         for kind, given in params.items():
             source = RayUnits(scene, cached_tree(scene, kind, **given), shooting)
-            with progress_bar(f"estimate {source.name}", None) as progress:
+            with progress_bar(f"estimate {source.identity.run}", None) as progress:
                 result = estimate_source(
                     source, configs, target, seed=picture.seed, threads=picture.threads, exact_below=picture.exact_below,
                     resume=resume, progress=progress,
@@ -60,10 +58,10 @@ def estimate_scenes(
 )  # fmt: skip
 @picture_options
 @output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+@results_options()
 def estimate(
     names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
-    resume: Path | None, as_json: bool, strict: bool, offline: bool, camera: str | None, light: str | None, **picture: Any,
+    resume: Path | None, output: Output, strict: bool, offline: bool, camera: str | None, light: str | None, **picture: Any,
 ) -> None:  # fmt: skip
     """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.
 
@@ -77,17 +75,13 @@ def estimate(
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import caches
     from cachesim.sampling.target import parse_target
-    from nptrace_base.tables import print_tables
 
     target = parse_target(error)
     configs = caches() if is_table1 else [
         CacheConfig(one_size, parse_ways(ways, one_size, parse_bytes(line)), parse_bytes(line))
         for one_size in size for ways in assoc
     ]  # fmt: skip
-    scenes = load_scenes(names, strict, offline, camera, light)
+    scenes = load_scenes(names, strict, offline, [camera] if camera else [], light)
     found = estimate_scenes(scenes, accel, configs, target, Picture(**picture), resume)
     results = [result for _, _, result in found]
-    if as_json:
-        click.echo(json.dumps([result.to_dict() for result in results], indent=2))
-    else:
-        print_tables(*estimate_tables.tables(results), sys.stdout)
+    output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))

@@ -1,22 +1,30 @@
 """nptrace render: scenes -> runs."""
 
-import json
-import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from nptrace import __version__
+from nptrace.groups import Command
 from nptrace.options import threads_option
+from nptrace.output import Output, results_options
 from nptrace.progress import progress_bar
 from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes, scene_options, tree_params
 
+if TYPE_CHECKING:
+    from nptrace_base.tables import Table
+    from rtrace.render import Summary
 
-@click.command()
+
+@click.command(cls=Command, old={"--size": "--pixels"})
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
 @click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
-@click.option("--size", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
-@click.option("--camera", metavar="TEXT", help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; by default the scene's or a fitted one.")
+@click.option("--pixels", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
+@click.option(
+    "--camera", "cameras", multiple=True, metavar="TEXT",
+    help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; by default the scene's or a fitted one. Several make several runs.",
+)  # fmt: skip
 @click.option("--light", metavar="X,Y,Z", help="Position of the point light; by default the scene's or a fitted one.")
 @click.option(
     "--order",
@@ -52,36 +60,37 @@ from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
 @click.option(
     "--name", "run_names", multiple=True, metavar="NAME",
-    help="Name of the run, before -kdtree, -bvh or -bvh64, instead of the scene's name; once per SCENE.",
+    help="Name of the run, before -kdtree, -bvh or -bvh64, instead of the usual one; once per SCENE and --camera.",
 )  # fmt: skip
-@click.option("--overwrite", is_flag=True, help="Replace a run of another scene, picture or tree that has the same name.")
+@click.option("--overwrite", is_flag=True, help="Replace a run of other content that has the same name.")
 @threads_option()
 @scene_options
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@results_options()
 def render(
-    names: tuple[str, ...], accel: tuple[str, ...], size: str, camera: str | None, light: str | None, order: str, batch: int,
-    seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
-    overwrite: bool, threads: int, strict: bool, offline: bool, as_json: bool,
+    names: tuple[str, ...], accel: tuple[str, ...], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
+    batch: int, seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
+    overwrite: bool, threads: int, strict: bool, offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
-    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>, and <scene>-bvh64 if the BVH
-    has nodes of 64 bytes. The same command replaces its run; another run of that name is kept unless you give --overwrite.
+    A SCENE is a mesh file or a name that `nptrace scenes` lists. A run is named <scene>-<tree>, <scene>-bvh64 if the BVH has
+    nodes of 64 bytes, followed by what differs from the defaults, as in sponza-bvh-morton-512x512. The same command replaces
+    its run; another run of that name is kept unless you give --overwrite.
 
     \b
     nptrace render bunny
     nptrace render a/scene.gltf b/scene.gltf --name chair --name table
-    nptrace render model.obj --accel bvh --size 512x512 --camera "eye=0,2,5 at=0,0,0"
+    nptrace render model.obj --accel bvh --pixels 512x512 --camera "eye=0,2,5 at=0,0,0"
     """
     from rtrace.camera import parse_size
     from rtrace.render import Shooting, render_all
     from rtrace.scenes import float32_check
     from rtrace.trees.strays import margin_note
 
-    check_run_names(run_names, len(names))
-    shooting = Shooting(*parse_size(size), order, batch, seed)
+    check_run_names(run_names, len(names) * max(len(cameras), 1))
+    shooting = Shooting(*parse_size(pixels), order, batch, seed)
     chosen = tree_params(accel, kd_text, bvh_builder, bvh_nodes)
-    scenes = load_scenes(names, strict, offline, camera, light)
+    scenes = load_scenes(names, strict, offline, cameras, light)
     for scene in scenes:
         if scene.precision is not None:
             click.echo(f"{scene.label}: {float32_check.choice(scene.precision)}", err=True)
@@ -94,19 +103,22 @@ def render(
             tool_version=__version__, progress=progress,
         )  # fmt: skip
         runs = list(summaries)
-    if as_json:
-        click.echo(json.dumps([run._asdict() for run in runs], indent=2))
-        return
-    from nptrace_base.tables import Table, number, percent, print_tables
-    from traces.format import printable
+    output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
+
+
+def table_of(runs: "list[Summary]") -> "Table":
+    """Return the table of the runs."""
+    from nptrace_base.tables import Table, number, percent
+    from traces.identity import labels
 
     header = ["Run", "Triangles", "Nodes", "Rays", "Hit %", "Shadow", "Shadowed %", "Accesses", "Per ray", "Prefetches"]
+    names = labels((run.identity for run in runs), by_path=True)
     rows = [
         [
-            printable(run.path), number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),
+            names[run.identity], number(run.n_triangles), number(run.n_nodes), number(run.n_rays), percent(run.hit_share, 1),
             number(run.n_shadow_rays), percent(run.shadowed_share, 1), number(run.n_accesses), number(run.accesses_per_ray, 1),
             number(run.n_prefetches),
         ]
         for run in runs
     ]  # fmt: skip
-    print_tables([Table("", header, rows)], [], sys.stdout)
+    return Table("", header, rows, extra=("Shadowed %", "Hit %", "Shadow", "Triangles", "Nodes", "Per ray"))

@@ -1,22 +1,22 @@
 """npcache replay: runs and traces through caches, exactly."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
+from nptrace.groups import Command
 from nptrace.options import list_option
-from nptrace.output import one_form
+from nptrace.output import Output, results_options
 from nptrace.progress import progress_bar
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, default_sources, traces_option
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, chosen_sources, traces_option
 
 if TYPE_CHECKING:
     from cachesim.result import Result
 
 
-@click.command()
+@click.command(cls=Command, old={"--report": "--format"})
 @click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
@@ -29,48 +29,38 @@ if TYPE_CHECKING:
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
-@click.option("--report", type=click.Choice(["table", "dinero", "json", "csv"]), show_default="table", help="Output format.")
-@click.option("--json", "as_json", is_flag=True, help="The same as --report json.")
+@results_options("dinero")
 def replay(
     sources: tuple[Path, ...], folder: Path, size: list[int], assoc: list[str], line: list[int], policy: list[str], seed: int,
-    prefetch: list[str], layout: list[str], three_c: bool, report: str | None, as_json: bool,
+    prefetch: list[str], layout: list[str], three_c: bool, output: Output,
 ) -> None:  # fmt: skip
     """Replay runs, or DineroIV traces, through every combination of the cache options, exactly.
 
     \b
     npcache replay --size 8K --assoc 2
     npcache replay traces/bunny-bvh --size 8K,16K --assoc 1,2 --prefetch none,stack:tris*2 --json
-    npcache replay x.din --size 2K --assoc 2 --report dinero
+    npcache replay x.din --size 2K --assoc 2 --format dinero
     """
     from cachesim.layout import parse_layout
     from cachesim.prefetch import parse_prefetch
     from cachesim.replay import replay as replay_source
+    from cachesim.report import replay_tables
     from cachesim.source import open_source
 
-    form = one_form("--report", report, as_json)
     configs = [
         CacheConfig(one_size, parse_ways(ways, one_size, one_line), one_line, one_policy, seed)
         for one_line in line for one_policy in policy for one_size in size for ways in assoc
     ]  # fmt: skip
     policies, layouts = [parse_prefetch(text) for text in prefetch], [parse_layout(text) for text in layout]
     results: list[Result] = []
-    for path in sources or default_sources(folder):
+    for path in chosen_sources(sources, folder):
         for one_layout in layouts:
             source = open_source(path, one_layout)
             source.check_passes(len(policies))
             for one_prefetch in policies:
                 with progress_bar("replay", source.n_events) as progress:
                     results += replay_source(source, configs, prefetch=one_prefetch, three_c=three_c, progress=progress)
-    print_results(results, form)
-
-
-def print_results(results: "list[Result]", report: str) -> None:
-    """Print results in the chosen format."""
-    from cachesim.report import replay_tables as reports
-    from nptrace_base.tables import print_tables
-
-    if report == "table":
-        print_tables(*reports.tables(results), sys.stdout)
-        return
-    write = {"json": reports.to_json, "csv": reports.to_csv, "dinero": reports.to_dinero}[report]
-    click.echo(write(results), nl=False)
+    output.write(
+        [result.to_dict() for result in results], lambda: replay_tables.tables(results),
+        dinero=lambda: replay_tables.to_dinero(results),
+    )  # fmt: skip

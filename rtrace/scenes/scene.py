@@ -12,6 +12,7 @@ from rtrace.scenes.float32_check import Precision, measure
 from rtrace.scenes.float32_check import notes as float32_notes
 from rtrace.scenes.mesh_file import SceneError as SceneError
 from rtrace.scenes.mesh_file import read_mesh
+from traces.identity import camera_text, point_text, short_hash
 
 _N_FIRST = 5  # a message names this many dropped triangles
 
@@ -48,6 +49,8 @@ class Scene(NamedTuple):
         Built in, in place of a scene that was not found.
     notes : tuple of str
         Notes for a reader of the results; one sentence each.
+    view : str
+        What its camera and light add to the name of a run; empty for the scene's own.
     precision : Precision
         Whether float32 resolves the scene, measured before its vertices were rounded.
     """
@@ -63,6 +66,7 @@ class Scene(NamedTuple):
     stand_in: bool = False
     notes: tuple[str, ...] = ()
     precision: Precision | None = None
+    view: str = ""
 
     @property
     def label(self) -> str:
@@ -139,9 +143,14 @@ def scene_from_triangles(
 
 def seen_from(scene: Scene, camera: Camera | None, light: Point | None) -> Scene:
     """Return the scene with another camera or light; a light that was fitted to the camera is fitted to the new one."""
+    view = []
+    if camera is not None and camera != scene.camera:
+        view.append(f"camera-{short_hash(camera_text(camera))}")
+    if light is not None and light != scene.light:
+        view.append(f"light-{short_hash(point_text(light))}")
     if camera is not None and light is None and scene.light == fit_light(scene.camera, scene.bounds):
         light = fit_light(camera, scene.bounds)
-    return scene._replace(camera=camera or scene.camera, light=light or scene.light)
+    return scene._replace(camera=camera or scene.camera, light=light or scene.light, view="-".join(view))
 
 
 def dropped_sentence(scene: Scene) -> str | None:

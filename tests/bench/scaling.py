@@ -43,14 +43,14 @@ def rows(scene: str, sizes: tuple[int, ...]) -> list[list[object]]:
     found: list[list[object]] = []
     with tempfile.TemporaryDirectory() as name:
         render = ("nptrace", "render", scene, "--accel", "bvh", "--offline", "--overwrite", "--out", name)
-        measure(*render, "--size", "16x16")  # builds the tree, compiles
+        measure(*render, "--pixels", "16x16")  # builds the tree, compiles
         path = Path(name) / f"{scene}-bvh"
         replay = ("npcache", "replay", str(path), "--size", "8K", "--assoc", "2")
         measure(*replay)
         for size in sizes:
             # The least of several: the small ones are over in less time than the machine's other work takes away at once.
             repeat = max(1, min(5, 1024 // size))
-            rendered = min(measure(*render, "--size", f"{size}x{size}") for _ in range(repeat))
+            rendered = min(measure(*render, "--pixels", f"{size}x{size}") for _ in range(repeat))
             replayed = min(measure(*replay) for _ in range(repeat))
             run = open_run(path)
             n_bytes = sum(file.stat().st_size for file in path.iterdir())

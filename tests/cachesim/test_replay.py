@@ -21,6 +21,7 @@ from cachesim.replay import replay
 from tests.reference.cache import Cache, pieces
 from tests.reference.traces import make_trace, write
 from traces.din import export_din
+from traces.identity import RunIdentity
 
 ROOT = Path(__file__).resolve().parents[2]
 KINDS = ("compulsory", "capacity", "conflict")
@@ -29,7 +30,7 @@ KINDS = ("compulsory", "capacity", "conflict")
 class Listed:
     """A source from a list of (address, size, label), in batches that end at ``cuts``."""
 
-    name, n_rays, n_events, layout = "listed", None, None, "stored"
+    identity, n_rays, n_events, layout = RunIdentity("listed"), None, None, "stored"
 
     def __init__(self, accesses, cuts=()):
         edges = [0, *sorted(cuts), len(accesses)]

@@ -3,6 +3,7 @@
 import csv
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,13 +19,15 @@ from cachesim.lines import AddressLines
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
 from cachesim.report import sweep_output
-from cachesim.report.sweep_output import plot, write
+from cachesim.report.sweep_output import plot
 from cachesim.source import open_source
 from cachesim.stack_distance import StackDistances, stack_distances
 from cachesim.sweep import SweepRow, sweep
+from nptrace.output import Output
 from tests.reference.cache import Cache
 from tests.reference.traces import make_trace
 from tests.reference.traces import write as write_run
+from traces.identity import COLUMNS, RunIdentity
 
 LABELS = st.sampled_from([0, 0, 0, 2, 3, 11, 11, 8])
 WAYS = (1, 2, 3, 4, 16, 17, 18, 19, 33, 34, 35, 51)  # on both sides of every border between one vector and the next
@@ -34,7 +37,7 @@ GRID = [CacheConfig(sets * ways * line, ways, line) for line in (16, 32) for set
 class Listed:
     """A source from (line of 16 bytes, label) pairs, in batches that end at ``cuts``."""
 
-    name, n_rays, n_events, layout = "listed", None, None, "stored"
+    identity, n_rays, n_events, layout = RunIdentity("listed"), None, None, "stored"
 
     def __init__(self, accesses, cuts=()):
         edges = [0, *sorted(cuts), len(accesses)]
@@ -77,7 +80,7 @@ def assert_equal_to_replay(source, configs, prefetch, rows):
     for row, result in zip(rows, results, strict=True):
         mine, theirs = row.to_dict(), result.to_dict()
         shared = [name for name in mine if name in theirs]
-        assert len(shared) == 17
+        assert len(shared) == 16 + len(COLUMNS)
         assert {name: mine[name] for name in shared} == {name: theirs[name] for name in shared}
         assert mine["total_misses"] == theirs["demand_misses"] + theirs["prefetch_misses"]
         assert mine["sets"] == result.config.n_sets
@@ -435,14 +438,14 @@ def rows():
 
 
 def test_files_hold_the_rows(rows, tmp_path):
-    empty = SweepRow("empty", CacheConfig(64, 1, 16), "none", "stored", 0, 0, 0, 0, 0)
+    empty = SweepRow(RunIdentity("empty"), CacheConfig(64, 1, 16), "none", "stored", 0, 0, 0, 0, 0)
     rows.append(empty)  # its rates have no value
     for ending in ("parquet", "csv"):
-        write(rows, tmp_path / f"rows.{ending}")
+        Output(ending, tmp_path / f"rows.{ending}").write([row.to_dict() for row in rows], tuple)
     expected = [row.to_dict() for row in rows]
     table = pq.read_table(tmp_path / "rows.parquet")
     assert table.to_pylist() == expected
-    assert {str(field.type) for field in table.schema} == {"string", "int64", "double"}
+    assert {str(field.type) for field in table.schema} == {"string", "int64", "double", "bool"}
     with (tmp_path / "rows.csv").open(newline="") as file:
         found = list(csv.DictReader(file))
     assert found == [{name: "" if value is None else str(value) for name, value in row.items()} for row in expected]
@@ -450,18 +453,18 @@ def test_files_hold_the_rows(rows, tmp_path):
 
 
 def test_a_file_is_whole_or_not_there(rows, tmp_path, monkeypatch):
-    with pytest.raises(ValueError, match=r"must end in \.csv or \.parquet"):
-        write(rows, tmp_path / "rows.txt")
+    records = [row.to_dict() for row in rows]
     with pytest.raises(ValueError, match=r"cannot write .*rows\.csv: there is no folder .*; name another file"):
-        write(rows, tmp_path / "no" / "rows.csv")
+        Output("csv", tmp_path / "no" / "rows.csv").write(records, tuple)
     (tmp_path / "rows.csv").write_text("before")
 
-    def fail(rows):
+    def fail(self, *args, **kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(sweep_output, "to_csv", fail)
+    monkeypatch.setattr(Path, "write_text", fail)
     with pytest.raises(ValueError, match="No space left on device"):
-        write(rows, tmp_path / "rows.csv")
+        Output("csv", tmp_path / "rows.csv").write(records, tuple)
+    monkeypatch.undo()
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("rows.csv", "before")]
 
 
@@ -474,7 +477,16 @@ def test_a_plot(rows, tmp_path):
         assert (tmp_path / ("a" + ending)).read_bytes() == (tmp_path / ("b" + ending)).read_bytes()
     text = (tmp_path / "a.svg").read_text()
     axes = ("cache size (bytes, K = 1024)", "demand misses / demand accesses (%)")
-    for said in (*axes, "listed, 16 B lines", "listed, 32 B lines", "1K", "512", "ways (LRU)", "without"):
+    for said in (
+        *axes,
+        "listed",
+        "16 B lines, prefetch traced",
+        "32 B lines, prefetch traced",
+        "1K",
+        "512",
+        "ways (LRU)",
+        "without",
+    ):
         assert said in text
     assert list(sweep_output._styles(rows)) == [1, 2, 4, "full"]  # seven would be too many
     with pytest.raises(ValueError, match=r"must end in \.pdf or \.png or \.svg"):

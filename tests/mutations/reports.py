@@ -9,6 +9,7 @@ PRINTED, CHECKS = "tests/nptrace/test_printed_values.py", "tests/nptrace/test_ch
 BORDERS, ORDERS, PICTURES = "tests/rtrace/test_borders.py", "tests/rtrace/test_orders.py", "tests/rtrace/test_pictures.py"
 STATE, TREES = "tests/cachesim/test_state_between_batches.py", "tests/rtrace/trees/test_tree_cache.py"
 RENDERED, REPLAYED, SWEPT = PRINTED + " -k test_render", PRINTED + " -k test_replay", PRINTED + " -k test_sweep"
+FITTED, IDENTITY, NAMED = "tests/nptrace_base/test_tables.py", "tests/traces/test_identity.py", "tests/nptrace/test_run_names.py"
 PLOTTED = PRINTED + " -k plot"
 TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
 
@@ -50,7 +51,7 @@ MUTATIONS = [
     Mutation("order: squares column by column", "rtrace/camera.py", "split.transpose(3, 0, 1, 4, 2, 5)", "split.transpose(3, 0, 4, 1, 2, 5)", ORDERS),
     Mutation("order: another half of the random bits", "rtrace/camera.py", "& np.uint64(0xFFFFFFFF_00000000)", "<< np.uint64(32)", ORDERS),
     Mutation("order: random from the seed 0", "rtrace/camera.py", "np.random.PCG64(seed)", "np.random.PCG64(0)", ORDERS),
-    Mutation("order: --seed of render ignored", "nptrace/commands/render.py", "shooting = Shooting(*parse_size(size), order, batch, seed)", "shooting = Shooting(*parse_size(size), order, batch, 0)", PRINTED + " -k random_order"),
+    Mutation("order: --seed of render ignored", "nptrace/commands/render.py", "shooting = Shooting(*parse_size(pixels), order, batch, seed)", "shooting = Shooting(*parse_size(pixels), order, batch, 0)", PRINTED + " -k random_order"),
     # render
     Mutation("render: n_shadowed counts primary hits", "rtrace/render.py", "n_shadowed += chunk.n_shadowed", "n_shadowed += chunk.n_hits", RENDERED),
     Mutation("render: n_hits and n_shadow_rays swapped", "rtrace/render.py", "n_rays, n_hits, n_shadow, n_shadowed,\n", "n_rays, n_shadow, n_hits, n_shadowed,\n", RENDERED),
@@ -87,7 +88,7 @@ MUTATIONS = [
     Mutation("sweep: sets and ways swapped", "cachesim/sweep.py", '"sets": config.n_sets,\n            "ways": config.ways', '"sets": config.ways,\n            "ways": config.n_sets', SWEPT),
     Mutation("sweep: miss rate without over all accesses", "cachesim/sweep.py", "ratio(self.demand_misses_without, self.demand_accesses)", "ratio(self.demand_misses_without, self.demand_accesses + self.prefetch_accesses)", SWEPT),
     Mutation("sweep: A is the same as B", "cachesim/sweep.py", "everything, demand = self._streams[0], self._streams[-1]", "everything, demand = self._streams[0], self._streams[0]", SWEPT),
-    Mutation("sweep: Parquet's rates as whole numbers", "cachesim/report/sweep_output.py", "types_of.get(type(value), pa.float64())", "types_of.get(type(value), pa.float32())", SWEPT),
+    Mutation("sweep: Parquet's rates as whole numbers", "nptrace_base/records.py", "arrow.get(found, pa.float64())", "arrow.get(found, pa.float32())", SWEPT),
     Mutation("plot: with and without swapped", "cachesim/report/sweep_output.py", 'rates = [100.0 * (values[rate] or 0.0)', 'rates = [100.0 * (values["demand_miss_rate_without" if rate == "demand_miss_rate" else "demand_miss_rate"] or 0.0)', PLOTTED),
     Mutation("plot: shares of one instead of per cent", "cachesim/report/sweep_output.py", "rates = [100.0 * (values[rate]", "rates = [(values[rate]", PLOTTED),
     # table1
@@ -99,7 +100,7 @@ MUTATIONS = [
     Mutation("table1: B's ACPR with the measured N of A", "cachesim/report/table1_tables.py", 'for name in ("acpr_a", "acpr_b")]', 'for name in ("acpr_a", "acpr_a")]', TABLE1),
     Mutation("table1: accesses per primary ray", "cachesim/report/table1.py", "per_ray = ratio(result.demand_accesses, result.n_rays or 0)", "per_ray = ratio(result.demand_accesses + result.prefetch_accesses, result.n_rays or 0)", TABLE1),
     Mutation("table1: two demand columns swapped", "cachesim/report/table1_tables.py", '"demand_ratio", "coverage", "accuracy")\n\nNOTES', '"demand_ratio", "accuracy", "coverage")\n\nNOTES', TABLE1),
-    Mutation("table1: paper's column of the CSV is ours", "cachesim/report/table1.py", 'values[f"{name}_paper"] = row.ours[name], row.paper[name]', 'values[f"{name}_paper"] = row.paper[name], row.ours[name]', TABLE1),
+    Mutation("table1: paper's column of the CSV is ours", "cachesim/report/table1.py", 'values[f"{column}_paper"] = _divided(row.paper[name], by, column)', 'values[f"{column}_paper"] = _divided(row.ours[name], by, column)', TABLE1),
     # export
     Mutation("export: the number said leaves the last row group out", "traces/din.py", "written += where.size", "written = where.size - 1", EXPORTED),
     Mutation("export: reads and misc swapped", "traces/din.py", '"read": 0x0, "misc": 0x3', '"read": 0x3, "misc": 0x0', EXPORTED),
@@ -126,4 +127,16 @@ MUTATIONS = [
              "replay_optimal(lines, ids, labels, next_use, 0, self.cache)", STATE),
     Mutation("state: the pre-fetch unit's stack is empty after a batch", "cachesim/prefetch.py", "policy, pieces, start = self._policy, [], 0\n", "policy, pieces, start = self._policy, [], 0\n        self._state[1] = 0\n", STATE),
     Mutation("state: the tree cache is written in place", "rtrace/trees/tree_cache.py", "with replacing(path) as temporary, open(temporary, \"wb\") as file:", "with open(path, \"wb\") as file:", TREES),
+    Mutation("table: nothing is left out on a narrow terminal", "nptrace_base/tables.py", "while excess(1) > 0:", "while False:", FITTED),
+    Mutation("table: what is left out is not said", "nptrace_base/tables.py", "if left_out:", "if False:", FITTED),
+    Mutation("table: the last of the extra columns goes first", "nptrace_base/tables.py", "kept.remove(going.pop(0))", "kept.remove(going.pop())", FITTED),
+    Mutation("identity: a repeated name is not told by its path", "traces/identity.py", "names.count(each.run) > 1", "names.count(each.run) > 2", IDENTITY),
+    Mutation("identity: the order is not told", "traces/identity.py", '"order": of.order or "",', '"order": "",', IDENTITY),
+    Mutation("identity: cameras of two scenes are told", "traces/identity.py", '"camera": ("scene",)', '"camera": ()', IDENTITY),
+    Mutation("identity: width and height swapped", "traces/identity.py", "width=footer.width, height=footer.height", "width=footer.height, height=footer.width", IDENTITY + " tests/nptrace/test_printed_values.py::test_render"),
+    Mutation("plot: runs of several prefetch policies in one panel", "cachesim/report/sweep_output.py", "return row.identity, row.prefetch, row.layout", 'return row.identity, "", row.layout', "tests/cachesim/report/test_sweep_output.py"),
+    Mutation("name: the batch is not in it", "rtrace/run_names.py", 'parts.append(f"batch{shooting.batch}")', "pass", NAMED),
+    Mutation("name: a stand-in has the name of the scene", "rtrace/run_names.py", "if scene.stand_in else", "if False else", NAMED),
+    Mutation("name: the camera is not in it", "rtrace/scenes/scene.py", "if camera is not None and camera != scene.camera:", "if False:", NAMED),
+    Mutation("JSON: infinity is printed", "nptrace_base/records.py", "and not math.isfinite(value)", "and False", "tests/nptrace_base/test_records.py"),
 ]

@@ -49,8 +49,8 @@ class Doctored:
 def checked(ball, monkeypatch, doctor, *args, code):
     real = embree.embree_scene
     monkeypatch.setattr(embree, "embree_scene", lambda triangles: Doctored(real(triangles), *doctor))
-    rows = json.loads(call("check", ball, "--size", "32x32", "--random", 4000, "--json", *args, code=code).stdout)
-    table = call("check", ball, "--size", "32x32", "--random", 4000, *args, code=code).stdout
+    rows = json.loads(call("check", ball, "--pixels", "32x32", "--random", 4000, "--json", *args, code=code).stdout)
+    table = call("check", ball, "--pixels", "32x32", "--random", 4000, *args, code=code).stdout
     monkeypatch.setattr(embree, "embree_scene", real)
     return rows, table
 
@@ -83,7 +83,7 @@ def test_t_is_measured_in_kappa(ball, monkeypatch):
     rows, _ = checked(ball, monkeypatch, (0, 0, 0.004), code=1)
     real = embree.kappa
     monkeypatch.setattr(embree, "kappa", lambda *args: seen.append(args) or real(*args))
-    call("check", ball, "--size", "32x32", "--random", 4000)
+    call("check", ball, "--pixels", "32x32", "--random", 4000)
     triangles, rays, prims = seen[-1]  # of the random rays: one triangle and one ray, in plain numbers
     a, b, c = triangles[prims[-1]].astype(float)
     origin, along = rays.origin[-1].astype(float), rays.direction[-1].astype(float)
@@ -95,7 +95,7 @@ def test_t_is_measured_in_kappa(ball, monkeypatch):
 
 
 def test_the_limits_are_written_out(ball):
-    rows = json.loads(call("check", ball, "--size", "400x250", "--random", 200_000, "--json").stdout)
+    rows = json.loads(call("check", ball, "--pixels", "400x250", "--random", 200_000, "--json").stdout)
     limits = {(row["rays"], row["what"]): row["limit"] for row in rows}
     assert limits["primary", "hit/miss differences"] == 1 and limits["random", "hit/miss differences"] == 2  # 1 in 100,000
     assert limits["primary", "other triangle, unequal t"] == 5 and limits["random", "other triangle, unequal t"] == 10
@@ -108,7 +108,7 @@ def test_the_limits_are_written_out(ball):
 
 def test_the_seed_chooses_the_random_rays(ball):
     def worst(seed):
-        rows = json.loads(call("check", ball, "--size", "8x8", "--random", 300, "--seed", seed, "--json").stdout)
+        rows = json.loads(call("check", ball, "--pixels", "8x8", "--random", 300, "--seed", seed, "--json").stdout)
         return [row["value"] for row in rows if row["rays"] == "random"]
 
     assert worst(1) == worst(1) != worst(2)
@@ -119,7 +119,7 @@ def test_embree_is_asked_to_be_robust(ball, monkeypatch):
 
     asked, real = [], embreex.rtcore_scene.EmbreeScene
     monkeypatch.setattr(embreex.rtcore_scene, "EmbreeScene", lambda **options: asked.append(options) or real(**options))
-    call("check", ball, "--size", "8x8", "--random", 10)
+    call("check", ball, "--pixels", "8x8", "--random", 10)
     assert asked == [{"robust": True}]
 
 

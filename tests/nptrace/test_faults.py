@@ -37,7 +37,7 @@ def start(folder, *args, limit=None, program="nptrace"):
 
 
 def render(folder, size, **options):
-    return start(folder, "render", "soup.obj", "--accel", "bvh", "--size", size, "--overwrite", **options)
+    return start(folder, "render", "soup.obj", "--accel", "bvh", "--pixels", size, "--name", "soup", "--overwrite", **options)
 
 
 def finish(process):
@@ -280,7 +280,7 @@ def test_a_read_only_folder_is_one_sentence_of_every_command(folder, monkeypatch
     monkeypatch.setattr(Path, "write_text", refuse)
     monkeypatch.setattr(Path, "replace", refuse)
     commands = [
-        (cli.nptrace, ["render", "soup.obj", "--accel", "bvh", "--size", "8x8", "--out", "new"], "cannot write new/soup-bvh"),
+        (cli.nptrace, ["render", "soup.obj", "--accel", "bvh", "--out", "new"], "cannot write new/soup-bvh"),
         (cli.npcache, ["sweep", "--size", "1K", "--ways", "1", "-o", "x.csv"], "cannot write x.csv"),
         (cli.npcache, ["sweep", "--size", "1K", "--ways", "1", "-o", "x.parquet"], "cannot write x.parquet"),
         (cli.nptrace, ["export", "traces/soup-bvh", "--to", "din"], "cannot write soup-bvh.din"),

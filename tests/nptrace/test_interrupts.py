@@ -21,8 +21,8 @@ ROOT = Path(cli.__file__).resolve().parent
 
 # Commands that are at work for long.
 BUSY = {
-    "render": ("nptrace", ["render", "soup.obj", "--accel", "bvh", "--size", "8000x8000"]),
-    "check": ("nptrace", ["check", "soup.obj", "--size", "3000x3000"]),
+    "render": ("nptrace", ["render", "soup.obj", "--accel", "bvh", "--pixels", "8000x8000"]),
+    "check": ("nptrace", ["check", "soup.obj", "--pixels", "3000x3000"]),
     "replay": (
         "npcache",
         ["replay", "big.din", "--policy", "random,fifo", "--size", "1K,2K,4K,8K,16K,32K", "--assoc", "1,2,4"],
@@ -126,7 +126,7 @@ def test_a_progress_bar_is_taken_away(folder):
 
 def test_an_ignored_signal_stays_ignored(folder):
     """Behind nohup or in the background of a script Ctrl-C is not meant for the command."""
-    args = ["render", "soup.obj", "--accel", "bvh", "--size", "400x400"]
+    args = ["render", "soup.obj", "--accel", "bvh", "--pixels", "400x400"]
     process = start(folder, "nptrace", args, handler=signal.SIG_IGN, stderr=subprocess.PIPE)
     interrupt(process, 0.5)
     assert process.returncode == 0

@@ -29,9 +29,8 @@ def inputs(folder):
     for name, text in FILES.items():
         (folder / name).write_text(text)
     (folder / "folder").mkdir()
-    done = CliRunner().invoke(
-        cli.nptrace, ["render", "one.obj", "--accel", "bvh", "--size", "8x8", "--out", str(folder / "traces")]
-    )
+    args = ["render", "one.obj", "--name", "one", "--accel", "bvh", "--pixels", "8x8", "--out", str(folder / "traces")]
+    done = CliRunner().invoke(cli.nptrace, args)
     assert done.exit_code == 0, done.output
 
 

@@ -16,10 +16,12 @@ from cachesim.replay import replay
 from cachesim.report.dinero import dinero_block
 from tests.reference.traces import make_trace, write
 from traces.din import export_din
+from traces.identity import COLUMNS
 from traces.reader import find_runs, open_run
 
 FIELDS = [
-    "run", "size_bytes", "ways", "line_bytes", "policy", "prefetch", "layout", "demand_accesses", "demand_misses",
+    *COLUMNS, "size_bytes", "ways", "line_bytes", "policy", "policy_seed", "prefetch", "layout",
+    "demand_accesses", "demand_misses",
     "prefetch_accesses", "prefetch_misses", "compulsory", "capacity", "conflict", "redundant", "filled", "useful", "useless",
     "resident", "pollution", "demand_misses_without", "bytes_from_memory", "demand_miss_rate", "paper_miss_rate", "accuracy",
     "coverage", "traffic_ratio",
@@ -49,20 +51,20 @@ def replayed(*args):
 
 def test_json_has_every_field_of_every_run_and_configuration(folder):
     values = json.loads(replayed("--traces", folder, "--size", "1K,2K", "--assoc", "1", "--assoc", "2,full", "--3c", "--json"))
-    assert [(value["run"], value["size_bytes"], value["ways"]) for value in values] == [
-        (run, size, ways or size // 32)
-        for run in ("bunny-bvh", "bunny-kdtree (stand-in)")
+    assert [(value["run"], value["stand_in"], value["size_bytes"], value["ways"]) for value in values] == [
+        (run, run == "bunny-kdtree", size, ways or size // 32)
+        for run in ("bunny-bvh", "bunny-kdtree")
         for size in (1024, 2048)
         for ways in (1, 2, 0)
     ]
-    assert all(list(value) == FIELDS for value in values)
+    assert all(list(value) == ["schema_version", *FIELDS] for value in values)
     [wanted] = replay(open_run(folder / "bunny-bvh"), [CacheConfig(2048, 2, 32)], three_c=True)
-    assert values[4] == wanted.to_dict()
+    assert values[4] == {"schema_version": 1, **wanted.to_dict()}
 
 
 def test_csv_and_table(folder):
     args = ("--traces", folder, "--size", "1K", "--prefetch", "none,stack:tris*2,next-line:tagged", "--layout", "stored,veb+8")
-    rows = list(csv.DictReader(io.StringIO(replayed(*args, "--report", "csv"))))
+    rows = list(csv.DictReader(io.StringIO(replayed(*args, "--format", "csv"))))
     assert list(rows[0]) == [name for name in FIELDS if name not in ("compulsory", "capacity", "conflict")]
     assert [(row["layout"], row["prefetch"]) for row in rows[:6]] == [
         (layout, prefetch) for layout in ("stored", "veb+8") for prefetch in ("none", "stack:tris*2", "next-line:tagged")
@@ -78,11 +80,11 @@ def test_csv_and_table(folder):
 def test_dinero_report(folder):
     [result] = replay(folder / "x.din", [CacheConfig(1024, 2, 32)])
     block = dinero_block(result)
-    assert replayed(folder / "x.din", "--size", "1K", "--assoc", "2", "--report", "dinero") == block
+    assert replayed(folder / "x.din", "--size", "1K", "--assoc", "2", "--format", "dinero") == block
     assert "Prefetch Fetches" in block
-    both = replayed(folder / "x.din", "--size", "1K", "--assoc", "2,4", "--report", "dinero")
+    both = replayed(folder / "x.din", "--size", "1K", "--assoc", "2,4", "--format", "dinero")
     assert f"x.din, prefetch traced, 1K 2-way 32 B lru\n{block}" in both
-    assert "Prefetch Fetches" not in replayed(folder / "x.din", "--prefetch", "none", "--report", "dinero")
+    assert "Prefetch Fetches" not in replayed(folder / "x.din", "--prefetch", "none", "--format", "dinero")
 
 
 def test_table1(folder, tmp_path):
@@ -95,10 +97,11 @@ def test_table1(folder, tmp_path):
     assert "..." not in result.stdout
     for form in ("csv", "json", "markdown", "latex", "table"):
         printed = npcache("table1", "--traces", folder, "--format", form).stdout
-        assert "(stand-in)" in printed
+        assert ("True" if form == "csv" else "true" if form == "json" else "(stand-in)") in printed
         assert npcache("table1", "--traces", folder, "--format", form, "-o", tmp_path / form).stdout == ""
         assert (tmp_path / form).read_text() == printed
-    assert json.loads(npcache("table1", "--traces", folder, "--json").stdout)[0]["scene"] == "bunny (stand-in)"
+    first = json.loads(npcache("table1", "--traces", folder, "--json").stdout)[0]
+    assert (first["scene"], first["tree"], first["stand_in"]) == ("bunny", "kdtree", True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["csv", "json", "latex", "markdown", "table"]
 
 
@@ -206,7 +209,6 @@ def test_a_sweep_counts_what_replays_count(folder, tmp_path):
     [
         (("--size", "8K..4K"), "8K..4K"),
         (("--ways", "0"), "0"),
-        (("-o", "x.txt"), "must end in"),
         (("--prefetch", "next-line:miss"), "next-line"),
     ],
 )

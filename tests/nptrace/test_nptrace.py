@@ -34,7 +34,7 @@ def run(*args, code=0):
 
 
 def test_render_writes_both_trees_and_says_what(folder):
-    result = run("render", "ball.obj", "--size", "40x30")
+    result = run("render", "ball.obj", "--name", "ball", "--pixels", "40x30")
     assert "traces/ball-kdtree" in result.stdout and "traces/ball-bvh" in result.stdout
     assert result.stderr.count("\n") == 1 and "float32 vertices, float64 arithmetic: the shortest edge is" in result.stderr
     for tree in ("kdtree", "bvh"):
@@ -45,7 +45,7 @@ def test_render_writes_both_trees_and_says_what(folder):
 
 
 def test_json_counts_are_those_of_the_files(folder):
-    (summary,) = json.loads(run("render", "ball.obj", "--accel", "bvh", "--size", "32x32", "--json").stdout)
+    (summary,) = json.loads(run("render", "ball.obj", "--accel", "bvh", "--pixels", "32x32", "--json").stdout)
     opened = open_run(summary["path"])
     rays = opened.columns("rays")
     kinds = np.concatenate([kind for _, kind in opened.batches()])
@@ -58,19 +58,20 @@ def test_json_counts_are_those_of_the_files(folder):
 def test_the_recorded_command_makes_the_same_bytes(folder):
     import shlex
 
-    run("render", "ball.obj", "--accel", "kdtree", "--size", "33x21", "--order", "hilbert", "--kd", "coarse", "--threads", 1)
-    first = folder / "traces" / "ball-kdtree"
+    args = ["--accel", "kdtree", "--pixels", "33x21", "--order", "hilbert", "--kd", "coarse", "--threads", 1]
+    run("render", "ball.obj", *args)
+    first = folder / "traces" / "ball-kdtree-max_level16-hilbert-33x21"
     words = shlex.split(open_run(first).footer.command)
     assert words[0] == "nptrace"
     run(*words[1:], "--out", "again", "--threads", 2)
     for name in FILES:
-        assert (folder / "again" / "ball-kdtree" / name).read_bytes() == (first / name).read_bytes()
+        assert (folder / "again" / first.name / name).read_bytes() == (first / name).read_bytes()
 
 
 def test_options_reach_the_run(folder):
     camera = "eye=0,1,4 at=0,0,0 up=0,1,0 fov=50"
-    args = ["--size", "24x24", "--camera", camera, "--light", "3,3,3", "--order", "random", "--seed", "9", "--batch", "64"]
-    run("render", "ball.obj", *args, "--kd", "c_trav=1,max_level=7", "--bvh", "binned")
+    args = ["--pixels", "24x24", "--camera", camera, "--light", "3,3,3", "--order", "random", "--seed", "9", "--batch", "64"]
+    run("render", "ball.obj", "--name", "ball", *args, "--kd", "c_trav=1,max_level=7", "--bvh", "binned")
     kd, bvh = (open_run(folder / "traces" / f"ball-{t}").footer for t in ("kdtree", "bvh"))
     assert kd.camera.eye == (0, 1, 4) and kd.camera.fov == 50 and kd.light == (3, 3, 3)
     assert (kd.order, kd.seed, kd.batch) == ("random", 9, 64)
@@ -78,12 +79,12 @@ def test_options_reach_the_run(folder):
 
 
 def test_check_agrees_and_exits_1_beyond_a_limit(folder, monkeypatch):
-    result = run("check", "ball.obj", "--size", "32x32", "--random", 2000)
+    result = run("check", "ball.obj", "--pixels", "32x32", "--random", 2000)
     assert "0 beyond their limit" in result.stdout
-    rows = json.loads(run("check", "ball.obj", "--size", "32x32", "--random", 2000, "--json").stdout)
+    rows = json.loads(run("check", "ball.obj", "--pixels", "32x32", "--random", 2000, "--json").stdout)
     assert all(row["is_good"] for row in rows) and {row["tree"] for row in rows} == {"kdtree", "bvh"}
     monkeypatch.setattr("rtrace.checks.embree.KAPPA_LIMIT", -1.0)
-    assert "BEYOND" in run("check", "ball.obj", "--size", "32x32", "--random", 2000, code=1).stdout
+    assert "BEYOND" in run("check", "ball.obj", "--pixels", "32x32", "--random", 2000, code=1).stdout
 
 
 def test_scenes_are_listed(folder):
@@ -92,7 +93,7 @@ def test_scenes_are_listed(folder):
 
 
 def test_an_exported_run_is_a_din_trace(folder):
-    run("render", "ball.obj", "--accel", "bvh", "--size", "16x16")
+    run("render", "ball.obj", "--name", "ball", "--accel", "bvh", "--pixels", "16x16")
     run("export", "traces/ball-bvh", "--to", "din")
     lines = Path("ball-bvh.din").read_text().splitlines()
     assert len(lines) == open_run("traces/ball-bvh").n_accesses
@@ -108,9 +109,9 @@ def test_an_exported_run_is_a_din_trace(folder):
         (["bunnny"], "did you mean bunny"),
         (["broken.obj"], "broken.obj"),
         (["empty.ply"], "empty"),
-        (["ball.obj", "--size", "0x10"], "0x10"),
-        (["ball.obj", "--size", "99999x99999"], "99999x99999"),
-        (["ball.obj", "--size", "wide"], "wide"),
+        (["ball.obj", "--pixels", "0x10"], "0x10"),
+        (["ball.obj", "--pixels", "99999x99999"], "99999x99999"),
+        (["ball.obj", "--pixels", "wide"], "wide"),
         (["ball.obj", "--camera", "eye=1,2,3 at=1,2,3"], "same point"),
         (["ball.obj", "--camera", "eye=0,5,0 at=0,0,0 up=0,1,0"], "parallel"),
         (["ball.obj", "--camera", "from=0,5,0"], "from=0,5,0"),
@@ -125,7 +126,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(folder, args, words):
     (folder / "broken.obj").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)))
     (folder / "empty.ply").write_bytes(b"")
     before = sorted(p.name for p in folder.iterdir())
-    result = run("render", "--size", "16x16", *args, code=2)
+    result = run("render", "--pixels", "16x16", *args, code=2)
     assert words in result.stderr and "Traceback" not in result.stderr and result.stdout == ""
     assert sorted(p.name for p in folder.iterdir()) == before
 
@@ -134,7 +135,7 @@ def test_bad_triangles_are_dropped_with_a_warning_or_refused(folder):
     triangles = boxes()
     triangles[[3, 7], 0, 0] = np.nan
     write_obj(folder / "holes.obj", triangles)
-    result = run("render", "holes.obj", "--accel", "bvh", "--size", "16x16")
+    result = run("render", "holes.obj", "--name", "holes", "--accel", "bvh", "--pixels", "16x16")
     assert "2" in result.stderr and "3, 7" in result.stderr
     assert open_run("traces/holes-bvh").footer.scene.n_triangles == len(triangles) - 2
     assert "--strict" in run("render", "holes.obj", "--strict", code=2).stderr
@@ -143,7 +144,7 @@ def test_bad_triangles_are_dropped_with_a_warning_or_refused(folder):
 def test_a_directory_that_is_no_run_is_not_overwritten(folder):
     (folder / "traces" / "ball-bvh").mkdir(parents=True)
     (folder / "traces" / "ball-bvh" / "thesis.tex").write_text("precious")
-    assert "is not a run" in run("render", "ball.obj", "--accel", "bvh", "--size", "8x8", code=2).stderr
+    assert "is not a run" in run("render", "ball.obj", "--name", "ball", "--accel", "bvh", "--pixels", "8x8", code=2).stderr
     assert (folder / "traces" / "ball-bvh" / "thesis.tex").read_text() == "precious"
 
 
@@ -153,4 +154,4 @@ def test_a_read_only_folder_is_said(folder):
     else:
         (folder / "locked").mkdir(mode=0o500)
         target = "locked/runs"
-    assert "cannot write" in run("render", "ball.obj", "--size", "8x8", "--out", target, code=2).stderr
+    assert "cannot write" in run("render", "ball.obj", "--name", "ball", "--pixels", "8x8", "--out", target, code=2).stderr

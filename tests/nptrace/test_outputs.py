@@ -19,7 +19,7 @@ from traces.writer import RunWriter
 
 ROOT = Path(cli.__file__).resolve().parent
 BALL = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-RENDER = ["render", "one.obj", "--accel", "bvh", "--size", "8x8"]
+RENDER = ["render", "one.obj", "--name", "one", "--accel", "bvh", "--pixels", "8x8"]
 EXPORT = ["export", "traces/one-bvh", "--to", "din", "-o"]
 SWEEP = ["sweep", "--size", "1K", "--ways", "1", "-o"]
 
@@ -51,9 +51,9 @@ def hidden(folder):
 # Every command that writes a file, and how it begins. Each is tried on each kind of target.
 WRITERS = {
     "export": (cli.nptrace, EXPORT, b"0 0\n"),
-    "sweep": (cli.npcache, SWEEP, b"run,size_bytes"),
+    "sweep": (cli.npcache, SWEEP, b"run,path,scene"),
     "plot": (cli.npcache, [*SWEEP[:-1], "--plot"], b"\x89PNG"),
-    "table1": (cli.npcache, ["table1", "--format", "csv", "-o"], b"tree,"),
+    "table1": (cli.npcache, ["table1", "--format", "csv", "-o"], b"run,path,scene"),
 }
 ENDING = {"plot": ".png", "sweep": ".csv"}
 
@@ -62,7 +62,7 @@ ENDING = {"plot": ".png", "sweep": ".csv"}
 def writer(request, folder):
     if request.param == "table1":
         (folder / "traces" / "one-bvh").rename(folder / "other")
-        run(cli.nptrace, "render", "bunny", "--accel", "bvh", "--size", "8x8", "--offline")
+        run(cli.nptrace, "render", "bunny", "--name", "bunny", "--accel", "bvh", "--pixels", "8x8", "--offline")
     group, args, start = WRITERS[request.param]
     return lambda out, code=0: run(group, *args, str(out), code=code), start, ENDING.get(request.param, "")
 
@@ -273,7 +273,7 @@ def test_an_output_that_cannot_be_written_is_known_before_any_work(folder, monke
     import cachesim.sweep as sweeping
 
     monkeypatch.setattr(sweeping, "sweep", None)
-    for args in (["-o", "no/x.csv"], ["-o", "x.txt"], ["--plot", "no/x.png"], ["--plot", "x.txt"]):
+    for args in (["-o", "no/x.csv"], ["--plot", "no/x.png"], ["--plot", "x.txt"]):
         assert "cannot write" in run(cli.npcache, *SWEEP[:-1], *args, code=2).stderr
 
 

@@ -15,7 +15,18 @@ import cli
 from rtrace.camera import pixel_order
 from rtrace.scenes.shapes import boxes, icosphere
 from tests.nptrace.test_nptrace import write_obj
-from tests.reference.recomputed import NODE_BYTES, config_of, events, number, query, replayed, share, table_rows, values_of
+from tests.reference.recomputed import (
+    NODE_BYTES,
+    config_of,
+    events,
+    identity_of,
+    number,
+    query,
+    replayed,
+    share,
+    table_rows,
+    values_of,
+)
 
 TREES = ("kdtree", "bvh")
 TRIANGLES = np.concatenate([boxes(), icosphere(2) + np.float32([0, 3, 0])])
@@ -47,7 +58,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def rendered(folder):
     """Return (summaries as JSON, the table) of the same render."""
-    args = "render", folder / "bunny.obj", "--size", "24x20", "--out", folder / "traces"
+    args = "render", folder / "bunny.obj", "--name", "bunny", "--pixels", "24x20", "--out", folder / "traces"
     return json.loads(call(cli.nptrace, *args, "--json").stdout), call(cli.nptrace, *args).stdout
 
 
@@ -74,7 +85,8 @@ def test_render(traces, rendered):
     for tree, summary, words in zip(TREES, summaries, table_rows(table, r" \S*bunny-"), strict=True):
         path = traces / f"bunny-{tree}"
         facts = facts_of(path)
-        assert summary == {"path": str(path), "n_triangles": len(TRIANGLES), **facts}
+        wanted = {"schema_version": 1, **identity_of(path), "n_triangles": len(TRIANGLES), **facts}
+        agree(summary, {name: wanted[name] for name in summary} | wanted)
         assert 0 < facts["n_shadowed"] < facts["n_shadow_rays"] < facts["n_hits"] < facts["n_rays"] - facts["n_shadow_rays"]
         hits = share(facts["n_hits"], facts["n_rays"] - facts["n_shadow_rays"])
         assert words == [
@@ -87,8 +99,8 @@ def test_render(traces, rendered):
 
 def test_a_random_order_is_that_of_its_seed(folder):
     for seed in (0, 9):
-        args = "--size", "24x20", "--accel", "bvh", "--order", "random", "--seed", seed, "--out", folder / f"random{seed}"
-        call(cli.nptrace, "render", folder / "bunny.obj", *args)
+        args = "--pixels", "24x20", "--accel", "bvh", "--order", "random", "--seed", seed, "--out", folder / f"random{seed}"
+        call(cli.nptrace, "render", folder / "bunny.obj", "--name", "bunny", *args)
         rows = query(folder / f"random{seed}" / "bunny-bvh", "rays", "SELECT y * 24 + x FROM it WHERE type = 0 ORDER BY ray")
         assert [pixel for (pixel,) in rows] == pixel_order("random", 24, 20, seed).tolist()
 
@@ -107,13 +119,17 @@ def test_replay(traces, tree, prefetch, base):
     layout = f"stored+{base}" if base else "stored"
     args = ["replay", traces / f"bunny-{tree}", "--size", "512,1K", "--assoc", "1,2", "--line", "32,64", "--3c"]
     args += ["--prefetch", prefetch, "--layout", layout]
-    wanted = [{"run": f"bunny-{tree}", **values_of(traces / f"bunny-{tree}", tree, c, prefetch, base)} for c in configs]
+    wanted = [
+        {**identity_of(traces / f"bunny-{tree}"), **values_of(traces / f"bunny-{tree}", tree, c, prefetch, base)}
+        for c in configs
+    ]
     printed = json.loads(call(cli.npcache, *args, "--json").stdout)
     assert len(printed) == len(wanted)
     for got, want in zip(printed, wanted, strict=True):
-        agree(got, want)
-    read = list(csv.DictReader(io.StringIO(call(cli.npcache, *args, "--report", "csv").stdout)))
+        agree(got, {"schema_version": 1, **want})
+    read = list(csv.DictReader(io.StringIO(call(cli.npcache, *args, "--format", "csv").stdout)))
     for got, want in zip(read, printed, strict=True):
+        del want["schema_version"]
         assert got == {name: "" if value is None else str(value) for name, value in want.items()}
     table = call(cli.npcache, *args).stdout
     n_requests = sum(want["prefetch_accesses"] for want in wanted)
@@ -140,7 +156,8 @@ def test_the_random_policy_has_a_seed(traces):
         args = "--size", "512", "--assoc", "4", "--policy", "random", "--seed", seed, "--json"
         [value] = json.loads(call(cli.npcache, "replay", run, *args).stdout)
         want = values_of(run, "bvh", config_of(512, 4, policy="random", seed=seed), "traced")
-        agree(value, {"run": "bunny-bvh", **{name: want[name] for name in value if name != "run"}})
+        want |= {"schema_version": 1, **identity_of(run)}
+        agree(value, {name: want[name] for name in value})
         found.append(value["demand_misses"])
     assert found[0] != found[1]
 
@@ -153,7 +170,7 @@ def test_a_dinero_block(folder):
     records["label"] = rng.choice([0, 0, 2, 3, 11], 3000)
     accesses = [(address, size, label) for address, size, label, _ in records.tolist()]
     (folder / "x.din").write_bytes(records.tobytes())
-    args = folder / "x.din", "--size", "512", "--assoc", "2", "--line", "16", "--3c", "--report", "dinero"
+    args = folder / "x.din", "--size", "512", "--assoc", "2", "--line", "16", "--3c", "--format", "dinero"
     lines = call(cli.npcache, "replay", *args).stdout.splitlines()
     cache = replayed(accesses, config_of(512, 2, 16))
     printed = {}
@@ -211,12 +228,15 @@ def test_sweep(traces, tmp_path, tree):
     assert len(rows) == 2 * len(shapes) and {ways for _, ways, _ in shapes} == {1, 2, 3, 8, 16, 32}
     for row in rows:
         want = values_of(run, tree, config_of(row["size_bytes"], row["ways"], row["line_bytes"]), row["prefetch"])
-        want["run"], want["sets"] = run.name, row["size_bytes"] // row["ways"] // row["line_bytes"]
+        want |= {"schema_version": 1, **identity_of(run)}
+        want["sets"] = row["size_bytes"] // row["ways"] // row["line_bytes"]
         want["total_misses"] = want["demand_misses"] + want["prefetch_misses"]
         want["demand_miss_rate_without"] = want["demand_misses_without"] / want["demand_accesses"]
         agree(row, {name: want[name] for name in row})
     read = list(csv.DictReader(io.StringIO(call(cli.npcache, *args).stdout)))
-    assert read == [{name: str(value) for name, value in row.items()} for row in rows]
+    for row in rows:
+        del row["schema_version"]
+    assert read == [{name: "" if value is None else str(value) for name, value in row.items()} for row in rows]
     for name in ("x.csv", "x.parquet"):
         call(cli.npcache, *args, "-o", tmp_path / name)
     assert (tmp_path / "x.csv").read_text() == call(cli.npcache, *args).stdout
@@ -244,6 +264,17 @@ def test_a_plot_draws_the_rates(traces, tmp_path, monkeypatch):
 
 
 PAPER_N = {"kdtree": 15.77, "bvh": 27.0}
+IDENTITY = ("run", "path", "scene", "stand_in", "tree", "width", "height", "order", "batch", "camera", "light")
+#: The columns of a record of Table I, each with what divides per cent and KB to give fractions and bytes.
+RECORD = {
+    "miss_a": ("demand_miss_rate_without", 100), "miss_b": ("paper_miss_rate", 100), "miss_ratio": ("paper_ratio", 100),
+    "kb_a": ("bytes_from_memory_without", 1 / 1024), "kb_b": ("bytes_from_memory", 1 / 1024),
+    "kb_ratio": ("traffic_ratio", 100), "acpr_a": ("acpr_without", 1), "acpr_b": ("acpr", 1),
+    "acpr_ratio": ("acpr_ratio", 100), "demand_accesses": ("demand_accesses", 1), "prefetches": ("prefetch_accesses", 1),
+    "demand_miss_b": ("demand_miss_rate", 100), "demand_ratio": ("demand_ratio", 100), "coverage": ("coverage", 100),
+    "accuracy": ("accuracy", 100), "acpr_a_measured_n": ("acpr_without_measured_n", 1),
+    "acpr_b_measured_n": ("acpr_measured_n", 1), "nodes_per_ray": ("accesses_per_ray", 1),
+}  # fmt: skip
 NAMES = ("miss_a", "miss_b", "miss_ratio", "kb_a", "kb_b", "kb_ratio", "acpr_a", "acpr_b", "acpr_ratio")
 
 
@@ -255,7 +286,7 @@ def table1_of(run, tree, config):
     a, b = 1 - rate_a + 100 * rate_a, 1 - rate_b + 100 * rate_b
     kb_a, kb_b = want["demand_misses_without"] * 32 / 1024, want["bytes_from_memory"] / 1024
     return {
-        "miss_a": 100 * rate_a, "miss_b": 100 * rate_b, "miss_ratio": 100 * rate_b / rate_a,
+        **identity_of(run), "miss_a": 100 * rate_a, "miss_b": 100 * rate_b, "miss_ratio": 100 * rate_b / rate_a,
         "kb_a": kb_a, "kb_b": kb_b, "kb_ratio": 100 * kb_b / kb_a,
         "acpr_a": n * a, "acpr_b": n * b, "acpr_ratio": 100 * b / a,
         "demand_accesses": demand, "prefetches": want["prefetch_accesses"], "demand_miss_a": 100 * rate_a,
@@ -282,14 +313,14 @@ def test_table1(traces):
     rows = json.loads(call(cli.npcache, "table1", "--traces", traces, "--json").stdout)
     assert [(row["tree"], row["size_bytes"], row["ways"]) for row in rows] == keys
     for row, key in zip(rows, keys, strict=True):
-        assert (row["scene"], row["stand_in"]) == ("bunny", False)
-        assert {name: row[name] for name in ours[key]} == pytest.approx(ours[key], rel=1e-12)
-        assert {name: row[f"{name}_paper"] for name in NAMES} == {name: float(paper[key][name]) for name in NAMES}
+        assert {name: row[name] for name in IDENTITY} == {name: ours[key][name] for name in IDENTITY}
+        for name, (column, by) in RECORD.items():
+            assert row[column] == pytest.approx(ours[key][name] / by, rel=1e-11), name
+            if name in NAMES:
+                assert row[f"{column}_paper"] == pytest.approx(float(paper[key][name]) / by, rel=1e-11), name
     read = csv.DictReader(io.StringIO(call(cli.npcache, "table1", "--traces", traces, "--format", "csv").stdout))
     for got, row in zip(read, rows, strict=True):
-        assert {name: got[name] for name in ("tree", "scene")} == {name: row[name] for name in ("tree", "scene")}
-        values = {name: float(value) for name, value in got.items() if name not in ("tree", "scene")}
-        assert values == pytest.approx({name: row[name] for name in values}, abs=6e-5)
+        assert got == {name: "" if value is None else str(value) for name, value in row.items() if name != "schema_version"}
     text = call(cli.npcache, "table1", "--traces", traces).stdout
     lines = table_rows(text, r" .*(ours|paper|diff) ")
     decimals = [0 if name in ("kb_a", "kb_b") else 1 for name in NAMES]

@@ -10,7 +10,7 @@ from traces.reader import find_runs, open_run
 
 ONE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nf 1 2 3\nf 2 3 4\n"
 TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-SMALL = ["--accel", "bvh", "--size", "8x8"]
+SMALL = ["--accel", "bvh"]
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def run(*args, code=0):
 
 
 def test_two_scenes_of_one_name_are_refused_before_anything_is_traced(folder):
-    said = "Error: two scenes would both be traces/model-bvh; name them apart with --name, once per SCENE"
+    said = "Error: two scenes would both be traces/model-bvh; name them apart with --name, once per SCENE and --camera"
     assert run("a/model.obj", "b/model.obj", *SMALL, code=2) == said
     assert not (folder / "traces").exists()
     (folder / "a b.obj").write_text(ONE)
@@ -45,7 +45,7 @@ def test_two_scenes_of_one_name_are_refused_before_anything_is_traced(folder):
 def test_a_name_is_that_of_a_folder_once_per_scene(folder):
     for name in ("../x", "a/b", "", ".", ".x", "-x", "a b"):
         assert f"--name: {name!r} cannot name a run" in run("a/model.obj", *SMALL, "--name", name, code=2)
-    assert "there are 1 --name for 2 SCENE" in run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", code=2)
+    assert "there are 1 --name for 2 pictures" in run("a/model.obj", "b/model.obj", *SMALL, "--name", "x", code=2)
     assert not (folder / "traces").exists()
 
 
@@ -60,7 +60,7 @@ def test_a_name_changes_no_byte_of_a_run(folder):
     ("args", "what"),
     [
         (["b/model.obj"], "scene"),
-        (["a/model.obj", "--size", "8x9"], "height"),
+        (["a/model.obj", "--pixels", "128x9"], "height"),
         (["a/model.obj", "--batch", "0"], "batch"),
         (["a/model.obj", "--order", "tile"], "order"),
         (["a/model.obj", "--camera", "eye=1,2,3 at=0,0,0"], "camera, light"),
@@ -71,10 +71,10 @@ def test_a_name_changes_no_byte_of_a_run(folder):
 def test_another_run_of_the_name_is_kept_unless_it_may_be_replaced(folder, args, what):
     run("a/model.obj", *SMALL)
     before = open_run("traces/model-bvh").footer
-    said = run(*SMALL, *args, code=2)
+    said = run(*SMALL, *args, "--name", "model", code=2)
     assert f"traces/model-bvh holds another run (of another {what}); replace it with --overwrite" in said
     assert open_run("traces/model-bvh").footer == before
-    run(*SMALL, *args, "--overwrite")
+    run(*SMALL, *args, "--name", "model", "--overwrite")
     assert open_run("traces/model-bvh").footer != before
     assert os.listdir("traces") == ["model-bvh"]
 
@@ -103,7 +103,46 @@ def test_a_stand_in_does_not_replace_the_real_scene(folder, monkeypatch):
     monkeypatch.setenv("NPTRACE_SCENES", str(folder / "scenes"))
     run("bunny", *SMALL, "--offline")
     monkeypatch.delenv("NPTRACE_SCENES")
-    assert "traces/bunny-bvh holds another run (of another scene" in run("bunny", *SMALL, "--offline", code=2)
+    run("bunny", *SMALL, "--offline")
+    assert sorted(os.listdir("traces")) == ["bunny-bvh", "bunny-standin-bvh"]
+    assert not open_run("traces/bunny-bvh").footer.scene.stand_in
+    said = run("bunny", *SMALL, "--offline", "--name", "bunny", code=2)
+    assert "traces/bunny-bvh holds another run (of another scene" in said
+
+
+@pytest.mark.parametrize(
+    ("args", "name"),
+    [
+        ([], "model-bvh"),
+        (["--pixels", "9x8"], "model-bvh-9x8"),
+        (["--pixels", "128x128", "--order", "scanline", "--batch", "1", "--seed", "3"], "model-bvh"),
+        (["--order", "morton", "--batch", "0"], "model-bvh-morton-batch0"),
+        (["--order", "random", "--seed", "3"], "model-bvh-random-seed3"),
+        (["--bvh", "binned", "--pixels", "9x8"], "model-bvh-binned-9x8"),
+        (["--accel", "kdtree", "--kd", "c_trav=2,c_isect=2"], "model-kdtree-c_trav2"),
+        (["--accel", "kdtree", "--kd", "coarse"], "model-kdtree-max_level16"),
+    ],
+)
+def test_a_run_is_named_by_what_differs_from_the_defaults(folder, args, name):
+    run("a/model.obj", *(args if "--accel" in args else [*SMALL, *args]))
+    assert os.listdir("traces") == [name]
+
+
+def test_each_camera_and_light_has_its_run(folder):
+    cameras = ["--camera", "eye=1,2,3 at=0,0,0", "--camera", "eye=3,2,1 at=0,0,0"]
+    run("a/model.obj", "b/model.obj", *SMALL, *cameras, "--name", "a", "--name", "b", "--name", "c", "--name", "d")
+    eyes = [open_run(f"traces/{name}-bvh").footer.camera.eye for name in "abcd"]
+    assert eyes == [(1, 2, 3), (3, 2, 1)] * 2
+    run("a/model.obj", *SMALL, *cameras, "--out", "more")
+    run("a/model.obj", *SMALL, "--light", "1,2,3", "--out", "more")
+    names = sorted(os.listdir("more"))
+    assert [name.rpartition("-")[0] for name in names] == ["model-bvh-camera"] * 2 + ["model-bvh-light"]
+    assert "two scenes would both be traces/model-bvh-camera-" in run("a/model.obj", *SMALL, *cameras[:2] * 2, code=2)
+    run("a/model.obj", *SMALL, "--out", "own")
+    first = open_run("own/model-bvh").footer
+    own = "eye={} at={}".format(*(",".join(map(repr, point)) for point in (first.camera.eye, first.camera.look_at)))
+    run("a/model.obj", *SMALL, "--camera", own, "--out", "own")
+    assert os.listdir("own") == ["model-bvh"]  # the scene's own view, spelled out
 
 
 def test_every_run_is_found_but_hidden_ones(folder):

@@ -13,16 +13,16 @@ from cachesim.config import CacheConfig
 from rtrace.scenes.shapes import icosphere
 
 _STEPS = """
-nptrace render ball.obj --size 12x9 --out runs --batch 5
-nptrace render ball.obj --size 12x9 --out binned --accel bvh --bvh binned --order hilbert --batch 0
-nptrace render stray.obj --size 6x6 --out stray --camera eye=2,1,1;at=0,0,0 --light 3,3,3
+nptrace render ball.obj --pixels 12x9 --out runs --batch 5
+nptrace render ball.obj --pixels 12x9 --out binned --accel bvh --bvh binned --order hilbert --batch 0
+nptrace render stray.obj --pixels 6x6 --out stray --camera eye=2,1,1;at=0,0,0 --light 3,3,3
 npcache replay runs/ball-kdtree --size 1K --ways 2 --line 32 --3c --json
 npcache replay runs/ball-bvh --size 512 --ways 4 --line 64 --policy opt,fifo,random --prefetch none,stack:tris*2:once --json
 npcache replay runs/ball-bvh --size 1K --ways 2 --layout veb,treelet:256 --prefetch next-line:tagged --json
 npcache sweep runs/ball-kdtree runs/ball-bvh --size 512..4K --ways 1..16,full --line 32
 npcache sweep runs/ball-kdtree --size 512..4K --ways 1..4 --layout bfs --prefetch traced,stack:tris*2
 npcache estimate ball.obj --size 1K --ways 2 --pixels 24x16 --json
-nptrace check ball.obj --size 8x8 --random 50 --json
+nptrace check ball.obj --pixels 8x8 --random 50 --json
 nptrace export runs/ball-kdtree --to din -o ball.din
 npcache replay ball.din --size 1K --ways 2 --report dinero
 """

@@ -34,8 +34,8 @@ from click.testing import CliRunner
 def run(group, *args):
     result = CliRunner().invoke(group, args)
     assert result.exit_code == 0, result.output
-small = ["--size", "8x8", "--offline"]
-run(cli.nptrace, "render", "blob", *small)
+small = ["--pixels", "8x8", "--offline"]
+run(cli.nptrace, "render", "blob", "--name", "blob", *small)
 run(cli.nptrace, "render", "court", "--accel", "bvh", "--bvh", "binned", "--batch", "0", *small)
 run(cli.nptrace, "check", "blob", *small, "--random", "50")
 run(cli.nptrace, "export", "traces/blob-bvh", "--to", "din")

@@ -1,8 +1,10 @@
 """A run's files, read with DuckDB, and a slow cache's counts of them: the reference for every printed value."""
 
+import json
 import re
 
 import duckdb
+import pyarrow.parquet as pq
 
 from cachesim.config import CacheConfig
 from tests.reference.cache import Cache, derive, pieces
@@ -47,6 +49,7 @@ def values_of(run, tree, config, prefetch, base=0):
     without = sum(alone.counts["misses"])
     return {
         "size_bytes": config.size_bytes, "ways": config.ways, "line_bytes": config.line_bytes, "policy": config.policy,
+        "policy_seed": config.seed if config.policy == "random" else None,
         "prefetch": prefetch, "layout": f"stored+{base}" if base else "stored",
         "demand_accesses": demand, "demand_misses": demand_misses, "prefetch_accesses": requests, "prefetch_misses": filled,
         **{kind: sum(full.counts[kind][:8]) for kind in ("compulsory", "capacity", "conflict")},
@@ -56,6 +59,21 @@ def values_of(run, tree, config, prefetch, base=0):
         "demand_miss_rate": share(demand_misses, demand), "paper_miss_rate": share(demand_misses + filled, demand + requests),
         "accuracy": share(full.useful, filled), "coverage": 1 - demand_misses / without,
         "traffic_ratio": (demand_misses + filled) / without,
+    }  # fmt: skip
+
+
+def identity_of(run):
+    """Return the columns that say which run a row is of, from the footer of a file and the place."""
+    footer = json.loads(pq.read_metadata(run / "rays.parquet").metadata[b"nptrace"])
+    camera = {name: ",".join(map(repr, footer["camera"][name])) for name in ("eye", "look_at", "up")}
+    params = {name: value for name, value in footer["tree"].items() if name not in ("kind", "node_bytes")}
+    return {
+        "run": run.name, "path": str(run), "scene": footer["scene"]["name"], "stand_in": footer["scene"]["stand_in"],
+        "tree": footer["tree"]["kind"], "builder": " ".join(f"{name}={params[name]}" for name in sorted(params)),
+        "width": footer["width"], "height": footer["height"], "order": footer["order"],
+        "order_seed": footer["seed"] if footer["order"] == "random" else None, "batch": footer["batch"],
+        "camera": "eye={eye} at={look_at} up={up} fov=".format(**camera) + repr(footer["camera"]["fov"]),
+        "light": ",".join(map(repr, footer["light"])),
     }  # fmt: skip
 
 

@@ -5,6 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from traces.identity import RunIdentity
+
 READ, PREFETCH = 0, 3
 
 
@@ -22,7 +24,7 @@ class ArraySource:
         self._kinds = np.zeros(self._all.size, np.uint8) if kinds is None else np.ascontiguousarray(kinds, np.uint8)
         self._per = per
         n_nodes = int(self._all.max()) + 1
-        self.name = self.key = name
+        self.identity, self.key = RunIdentity(name), name
         self.n_positions = self._all.size // per
         self.unit, self.row, self.grain = unit, row or unit, 1
         self.node_bytes, self.reads_leaves = 32, True

@@ -12,10 +12,11 @@ from cachesim.config import CacheConfig
 from cachesim.lines import AddressLines
 from cachesim.prefetch import StackReplay, parse_prefetch
 from cachesim.replay import replay
-from cachesim.report import replay_tables, sweep_output
+from cachesim.report import replay_tables
 from cachesim.result import Result
 from cachesim.sweep import sweep
 from nptrace_base.errors import NptraceError
+from nptrace_base.records import to_csv, to_json
 from nptrace_base.tables import to_markdown
 from rtrace import render as rendering
 from rtrace.camera import Camera
@@ -28,6 +29,7 @@ from rtrace.trees.tree_cache import build_tree
 from tests.reference.cache import Cache, pieces
 from tests.reference.traces import make_trace, write
 from tests.reference.traversal import events_of, traverse
+from traces.identity import RunIdentity
 from traces.node_formats import NODE_FORMATS
 from traces.reader import open_run
 
@@ -144,7 +146,7 @@ MANY = (1 << 24) + 3
 class Alternating:
     """Two lines of one set in turn, ``MANY`` times: a direct-mapped cache always misses."""
 
-    name, n_rays, n_events, layout = "alternating", None, None, "stored"
+    identity, n_rays, n_events, layout = RunIdentity("alternating"), None, None, "stored"
 
     def events(self, prefetch):
         for start in range(0, MANY, 1 << 21):
@@ -167,12 +169,12 @@ def test_more_misses_than_float32_counts():
     [row] = sweep(Alternating(), [config])
     assert row.to_dict()["demand_misses"] == row.to_dict()["total_misses"] == MANY
     for values in (
-        json.loads(replay_tables.to_json([result]))[0],
-        *csv.DictReader(io.StringIO(replay_tables.to_csv([result]))),
+        json.loads(to_json([result.to_dict()]))[0],
+        *csv.DictReader(io.StringIO(to_csv([result.to_dict()]))),
     ):
         assert int(values["demand_misses"]) == int(values["demand_accesses"]) == MANY
         assert int(values["bytes_from_memory"]) == 32 * MANY
-    [values] = csv.DictReader(io.StringIO(sweep_output.to_csv([row])))
+    [values] = csv.DictReader(io.StringIO(to_csv([row.to_dict()])))
     assert (int(values["demand_misses"]), int(values["bytes_from_memory"])) == (MANY, 32 * MANY)
 
 
@@ -181,8 +183,8 @@ def test_large_counts_are_printed_whole():
     counts = {name: np.zeros(16, np.int64) for name in ("accesses", "misses", "compulsory", "capacity", "conflict")}
     for i, column in enumerate(counts.values()):
         column[[0, 2, 3, 11]] = [(1 << 40) + i, (1 << 24) + 1 + i, (1 << 31) + i, (1 << 33) + 1 + i]
-    result = Result("x", CacheConfig(1024), "traced", "stored", True, n_splits=MANY, useful=MANY + 1, useless=MANY + 2,
-                    resident=MANY + 3, pollution=MANY + 4, demand_misses_without=MANY, **counts)  # fmt: skip
+    result = Result(RunIdentity("x"), CacheConfig(1024), "traced", "stored", True, n_splits=MANY, useful=MANY + 1,
+                    useless=MANY + 2, resident=MANY + 3, pollution=MANY + 4, demand_misses_without=MANY, **counts)  # fmt: skip
     demand = (1 << 40) + (1 << 24) + 1 + (1 << 31)
     text = to_markdown(*replay_tables.tables([result]))
     for i in range(5):

@@ -15,6 +15,7 @@ from nptrace_base.errors import NptraceError
 from tests.reference.traces import make_trace, write
 from traces import din
 from traces.din import DinError, DinTrace, export_din
+from traces.identity import COLUMNS
 from traces.stream import StreamError
 
 
@@ -162,7 +163,7 @@ def test_an_exported_run_replays_as_the_run(tmp_path, kind, fmt, layout):
     for ours, exported in zip(
         replay(run, GRID, layout=layout, three_c=True), replay(out, GRID, three_c=True), strict=True
     ):  # fmt: skip
-        same = {"run": "", "layout": ""}
+        same = dict.fromkeys([*COLUMNS, "layout"])
         assert ours.to_dict() | same == exported.to_dict() | same
         assert ours.n_splits == exported.n_splits
 

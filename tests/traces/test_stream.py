@@ -205,7 +205,7 @@ def test_names_that_are_no_text(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [["replay", "--report", "dinero"], ["replay", "--report", "table"], ["table1", "--format", "csv"]]
+    "command", [["replay", "--format", "dinero"], ["replay", "--format", "table"], ["table1", "--format", "csv"]]
 )
 def test_two_forms_at_once_are_refused(command, tmp_path):
     (tmp_path / "x.din").write_bytes(TEXT)

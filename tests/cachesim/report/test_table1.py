@@ -10,7 +10,6 @@ from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.report import table1_tables
 from cachesim.report.table1 import (
-    DEMAND_NAMES,
     NAMES,
     PAPER_N,
     SCENES,
@@ -18,9 +17,9 @@ from cachesim.report.table1 import (
     missing,
     paper_table,
     table1,
-    to_csv,
     to_dicts,
 )
+from nptrace_base.records import to_csv, to_json
 from nptrace_base.tables import to_latex, to_markdown
 from tests.reference.traces import make_trace, write
 from traces.reader import find_runs, open_run
@@ -159,25 +158,32 @@ def test_every_number_of_ours(rows, runs):
 
 
 def test_csv(rows):
-    read = list(csv.DictReader(io.StringIO(to_csv(rows))))
-    columns = ["tree", "scene", "size_bytes", "ways"]
-    for name in NAMES:
-        columns += [name, f"{name}_paper"]
-    assert list(read[0]) == [*columns, *DEMAND_NAMES]
+    """In fractions and bytes, with the names that the other results use."""
+    names = [
+        "demand_miss_rate_without", "paper_miss_rate", "paper_ratio", "bytes_from_memory_without", "bytes_from_memory",
+        "traffic_ratio", "acpr_without", "acpr", "acpr_ratio",
+    ]  # fmt: skip
+    read = list(csv.DictReader(io.StringIO(to_csv(to_dicts(rows)))))
     assert len(read) == len(rows)
     for line, row in zip(read, rows, strict=True):
         assert (line["tree"], int(line["size_bytes"]), int(line["ways"])) == (row.tree, row.size_bytes, row.ways)
-        assert line["scene"] == row.scene + (" (stand-in)" if row.scene == "conference" else "")
-        for name in NAMES:
-            assert float(line[name]) == pytest.approx(row.ours[name], abs=6e-5)
-            assert float(line[f"{name}_paper"]) == row.paper[name]
+        assert (line["scene"], line["stand_in"]) == (row.scene, str(row.scene == "conference"))
+        assert (line["run"].lower(), line["width"]) == (f"{row.scene}-{row.tree}", "1")
+        for name, column in zip(NAMES, names, strict=True):
+            unit = 1 / 1024 if "kb_" in name and "ratio" not in name else 1 if name in ("acpr_a", "acpr_b") else 100
+            assert float(line[column]) == pytest.approx(row.ours[name] / unit, rel=1e-11)
+            assert float(line[f"{column}_paper"]) == pytest.approx(row.paper[name] / unit, rel=1e-11)
+        assert float(line["demand_miss_rate"]) == pytest.approx(row.ours["demand_miss_b"] / 100, rel=1e-11)
+        for name in ("demand_ratio", "coverage", "accuracy"):
+            assert float(line[name]) == pytest.approx(row.ours[name] / 100, rel=1e-11)
+        assert int(line["prefetch_accesses"]) == row.ours["prefetches"]
 
 
 def test_json(rows):
-    values = json.loads(json.dumps(to_dicts(rows)))
+    values = json.loads(to_json(to_dicts(rows)))
     assert [value["stand_in"] for value in values] == [row.scene == "conference" for row in rows]
-    assert values[0]["miss_b"] == rows[0].ours["miss_b"]
-    assert values[0]["acpr_a_measured_n"] == rows[0].measured_acpr("acpr_a")
+    assert values[0]["paper_miss_rate"] == pytest.approx(rows[0].ours["miss_b"] / 100)
+    assert values[0]["acpr_without_measured_n"] == rows[0].measured_acpr("acpr_a")
 
 
 def test_tables_say_what_is_counted_and_mark_stand_ins(rows):

@@ -1,0 +1,61 @@
+"""Records of results (flat dicts, one per row, all with the same keys) -> JSON, CSV, Parquet.
+
+None is a rate whose denominator is 0, or a fact that is not known: null in JSON and Parquet, an empty field in CSV.
+"""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+#: Raised when a key of the JSON output gets another meaning or goes; a new key does not count.
+SCHEMA_VERSION = 1
+
+Record = Mapping[str, Any]
+
+
+def to_json(records: Sequence[Record]) -> str:
+    """Return a JSON array with one object per record, each with its ``schema_version``; NaN and infinities become null."""
+    found = [{"schema_version": SCHEMA_VERSION, **_finite(record)} for record in records]
+    return json.dumps(found, indent=2, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def to_csv(records: Sequence[Record]) -> str:
+    """Return CSV with a header, one line per record."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(dict.fromkeys(name for record in records for name in record)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
+    return out.getvalue()
+
+
+def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, type] | None = None) -> None:
+    """Write a Parquet file. ``types`` has those of columns that may hold nothing but None; other such columns are rates."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    arrow = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
+    fields = []
+    for name in dict.fromkeys(name for record in records for name in record):
+        held = (type(record[name]) for record in records if record.get(name) is not None)
+        found = next(held, (types or {}).get(name, float))
+        fields.append(pa.field(name, arrow.get(found, pa.float64())))
+    plain = [{name: _utf8(value) for name, value in record.items()} for record in records]
+    with open(path, "wb") as file:  # by Python: Arrow opens only names that are UTF-8
+        pq.write_table(pa.Table.from_pylist(plain, pa.schema(fields)), file)
+
+
+def _utf8(value: Any) -> Any:
+    """Return a text that Parquet can hold: the name of a run may not be UTF-8."""
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value

@@ -1,0 +1,45 @@
+"""A scene, a tree and rays -> the name of their run, which tells it from the runs of other scenes, pictures and trees.
+
+``<scene>-<tree>`` is the run of the scene's own view with every default. What differs follows, in a fixed order:
+``sponza-standin-bvh``, ``sponza-kdtree-max_level16``, ``sponza-bvh-binned-morton-batch0-512x512-camera-a1b2c3``.
+"""
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+from rtrace.scenes.scene import Scene
+from rtrace.trees.bvh import build_bvh
+from rtrace.trees.kdtree import build_kdtree
+from traces.identity import STAND_IN
+from traces.node_formats import NODE_FORMATS
+
+if TYPE_CHECKING:
+    from rtrace.render import Shooting
+
+_BUILDERS: dict[str, Callable[..., Any]] = {"kdtree": build_kdtree, "bvh": build_bvh}
+
+
+def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: "Shooting") -> str:
+    """Return the name of a run; of ``params``, those of the tree's builder, only other values than its defaults count."""
+    parts = [scene.name, *([STAND_IN] if scene.stand_in else []), kind, *_builder_parts(kind, params)]
+    usual = {each.name: each.default for each in fields(shooting)}
+    if shooting.order != usual["order"]:
+        parts.append(shooting.order)
+    if shooting.order == "random" and shooting.seed != usual["seed"]:
+        parts.append(f"seed{shooting.seed}")
+    if shooting.batch != usual["batch"]:
+        parts.append(f"batch{shooting.batch}")
+    if (shooting.width, shooting.height) != (usual["width"], usual["height"]):
+        parts.append(f"{shooting.width}x{shooting.height}")
+    return "-".join([*parts, *([scene.view] if scene.view else [])])
+
+
+def _builder_parts(kind: str, params: Mapping[str, Any]) -> list[str]:
+    usual = inspect.signature(_BUILDERS[NODE_FORMATS[kind].tree]).parameters
+    return [
+        str(value) if name == "builder" else f"{name}{value!r}".removesuffix(".0")
+        for name, value in sorted(params.items())
+        if name in usual and usual[name].default is not None and value != usual[name].default
+    ]
