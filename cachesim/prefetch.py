@@ -1,19 +1,19 @@
-"""Prefetch policies: rows of a trace (node, kind) -> the events a cache sees (node, label), prefetches among them.
+"""Prefetch policies at replay: a policy's name -> ``Prefetch``; and rows of a trace -> the events that a cache sees.
 
-A run records every push, so the node stack can be rebuilt from the demand rows alone, and any policy of the prefetch unit
-replayed without rendering again. The unit has the stack's top ``sp`` and a pointer ``pp``. Push: pp = sp. Pop: pp =
-min(pp, sp). At a non-empty leaf, before its triangles are tested: while there is budget and pp > 0, pp -= 1 and request
-stack[pp]. The pointer stays where it stopped. A ray starts with an empty stack. Where leaves are no nodes in memory
-(``traces.node_formats``), entering one is no read, and the pointer passes a leaf on the stack without a request.
+A run records every push, so the node stack can be rebuilt from the demand rows alone, and every policy that depends on nothing
+else replayed without rendering again: its unit (``cachesim.policies``) is asked after each read, and gets all that it wants.
 """
 
-import re
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from cachesim.access import MISC, PREFETCH, READ
-from cachesim.cache import ALWAYS, NEVER, ON_MISS, TAGGED
+from cachesim.cache import NEVER
+from cachesim.policies import Facts, Policy, hooks, policies
+from cachesim.policies.machine import Tree, first_waiting, make_machine, stop_waiting
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 from traces.format import LEAF as KIND_LEAF
@@ -22,154 +22,167 @@ from traces.format import PUSH as KIND_PUSH
 from traces.format import READ as KIND_READ
 from traces.node_formats import CHILD_BOXES, NO_BOX, OWN_BOX, NodeFormat, stored_slots
 
-#: A request of the prefetch unit as a label: what DineroIV calls type b.
+#: A request of a prefetch unit as an access type: what DineroIV calls type b.
 REQUEST = PREFETCH | MISC
-
-UNLIMITED = np.iinfo(np.int64).max
-
-_TRIGGERS = {"always": ALWAYS, "miss": ON_MISS, "tagged": TAGGED}
-
-FORMS = "none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty] or next-line:always|miss|tagged[:DISTANCE]"
 
 
 @dataclass(frozen=True, slots=True)
 class Prefetch:
-    """A prefetch policy.
+    """A prefetch policy with its options.
 
     Attributes
     ----------
-    kind : str
-        ``"none"``: demand only; ``"traced"``: the requests in the trace; ``"stack"``: those of the prefetch unit, derived
-        from the demand rows; ``"next-line"``: a sequential prefetcher in the cache, DineroIV's always, miss and tagged.
-    budget : int
-        stack: most requests at a leaf, or with ``per_triangle`` per triangle of the leaf.
-    once : bool
-        stack: an entry is requested at most once while it is on the stack, even if a later push moves the pointer back up.
-    empty : bool
-        stack: empty leaves trigger requests too.
-    trigger, distance : int
-        next-line: NEVER, ALWAYS, ON_MISS or TAGGED; and how many lines ahead.
+    policy : Policy
+    options : mapping
+        Keyword arguments of its units.
+    text : str
+        As it is printed.
     """
 
-    kind: str
-    budget: int = UNLIMITED
-    per_triangle: bool = False
-    once: bool = False
-    empty: bool = False
-    trigger: int = NEVER
-    distance: int = 0
+    policy: Policy
+    options: Mapping[str, Any]
+    text: str
 
     def __str__(self) -> str:
-        if self.kind == "next-line":
-            name = next(name for name, trigger in _TRIGGERS.items() if trigger == self.trigger)
-            return f"next-line:{name}" + (f":{self.distance}" if self.distance != 1 else "")
-        if self.kind != "stack":
-            return self.kind
-        budget = "unlimited" if self.budget == UNLIMITED else f"{'tris*' if self.per_triangle else 'budget='}{self.budget}"
-        return f"stack:{budget}{':once' if self.once else ''}{':empty' if self.empty else ''}"
+        return self.text
+
+    @property
+    def kind(self) -> str:
+        """The policy's name."""
+        return self.policy.name
+
+    @property
+    def trigger(self) -> int:
+        """When the cache itself requests a line: NEVER, ALWAYS, ON_MISS or TAGGED."""
+        return int(self.options.get("trigger", NEVER))
+
+    @property
+    def distance(self) -> int:
+        """How many lines ahead the cache requests."""
+        return int(self.options.get("distance", 0))
+
+    @property
+    def has_requests(self) -> bool:
+        """Whether requests of nodes stand among the events: those of a unit, or of the trace."""
+        return self.kind != "none" and not self.trigger
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether a unit makes the requests during the replay."""
+        return self.has_requests and self.policy.make_unit is not None
 
 
 def parse_prefetch(text: str) -> Prefetch:
     """Return the policy that a text such as ``traced``, ``stack:tris*2:once`` or ``next-line:tagged:2`` names."""
-    kind, *options = text.strip().lower().split(":")
-    if kind in ("none", "traced") and not options:
-        return Prefetch(kind)
-    if kind == "stack":
-        return _parse_stack(text, options)
-    if kind == "next-line" and 1 <= len(options) <= 2 and options[0] in _TRIGGERS:
-        distance = options[1] if len(options) == 2 else "1"
-        if re.fullmatch(r"[1-9]\d{0,5}", distance) is None:
-            raise NptraceError(f"{text!r}: a distance is a number of lines from 1 to 999999, not {distance!r}")
-        return Prefetch(kind, trigger=_TRIGGERS[options[0]], distance=int(distance))
-    raise NptraceError(f"{text!r} is not a pre-fetch policy; write {FORMS}")
+    name, *options = text.strip().lower().split(":")
+    policy = policies().get(name)
+    if policy is None:
+        known = ", ".join(policy.form for policy in policies().values())
+        raise NptraceError(f"{text!r}: there is no prefetch policy {name!r}; write one of {known}")
+    try:
+        values = policy.parse(options)
+    except NptraceError as e:
+        raise NptraceError(f"{text!r}: {e}; write {policy.form}") from None
+    return Prefetch(policy, values, ":".join([name, *policy.show(values, options)]))
 
 
-def _parse_stack(text: str, options: list[str]) -> Prefetch:
-    budgets = []
-    for option in options:
-        match = re.fullmatch(r"(?:budget=)?(unlimited|(tris\*)?(\d{1,9}))", option)
-        if match:
-            budgets.append((UNLIMITED if match[1] == "unlimited" else int(match[3]), match[2] is not None))
-        elif option not in ("once", "empty"):
-            raise NptraceError(f"{text!r}: {option!r} is not an option of stack; write {FORMS}")
-    if len(budgets) > 1 or len(set(options)) < len(options):
-        raise NptraceError(f"{text!r} says something twice; write {FORMS}")
-    budget, per_triangle = budgets[0] if budgets else (UNLIMITED, False)
-    return Prefetch("stack", budget, per_triangle, "once" in options, "empty" in options)
-
-
-class StackReplay:
-    """The prefetch unit over one trace: batches of rows in, batches of events out, its stack kept in between.
+class UnitReplay:
+    """A prefetch unit over one trace: batches of rows in, batches of events out; the stack is kept in between.
 
     Parameters
     ----------
-    policy : Prefetch
-        Of kind ``stack``.
+    prefetch : Prefetch
+        Of a policy whose requests depend on the demand rows alone.
     node_format : NodeFormat
         Whether the row after a read (kind 0) is the child followed or popped, and which nodes are in memory.
     n_prims, level, parent : (n_nodes,) array
         Columns of ``nodes.parquet``.
+    n_rows : int
+        Demand rows of the trace, for policies that need two passes.
     where : str
         What the rows are read from, for errors.
     """
 
     def __init__(
-        self, policy: Prefetch, node_format: NodeFormat, n_prims: np.ndarray, level: np.ndarray, parent: np.ndarray,
-        where: str = "accesses.parquet",
+        self, prefetch: Prefetch, node_format: NodeFormat, n_prims: np.ndarray, level: np.ndarray, parent: np.ndarray,
+        n_rows: int = 0, where: str = "accesses.parquet",
     ) -> None:  # fmt: skip
-        self._where, self._n_rows = where, 0
-        self._policy = policy
+        if prefetch.policy.needs_clock:
+            raise NptraceError(f"what {prefetch} requests depends on time, which a replay does not have; use npcache time")
+        self._prefetch, self._where = prefetch, where
         self._boxes = node_format.boxes
-        self._parent = np.ascontiguousarray(parent, np.int32)
-        self._in_memory = stored_slots(parent, node_format) >= 0
-        self._n_prims = np.ascontiguousarray(n_prims, np.uint32)
-        self._stack = np.zeros(max(int(level.max()), 1), np.int64)  # at most one entry per level above
-        self._asked = np.zeros(self._stack.size, np.uint8)
-        self._state = np.array([0, 0, -1, -1], np.int64)  # sp, pp, kind and node of the last demand row (-1: none yet)
+        tree = Tree(
+            n_prims=np.ascontiguousarray(n_prims, np.uint32),
+            level=np.ascontiguousarray(level, np.uint16),
+            parent=np.ascontiguousarray(parent, np.int32),
+            first_line=np.zeros(0, np.uint32),
+            n_lines=(stored_slots(parent, node_format) >= 0).astype(np.uint8),
+        )
+        self._tree, self._facts = tree, Facts(node_format.node_bytes, node_format.node_bytes, n_rows)
+        make_unit = prefetch.policy.make_unit
+        assert make_unit is not None
+        self._make_unit: Callable[..., Any] = make_unit
+        self._start(lambda machine: make_unit(machine, self._facts, **prefetch.options))
+
+    def _start(self, make_unit: Callable[[Any], Any]) -> None:
+        """Begin at the first row."""
+        self._n_rows = 0
+        self._machine = make_machine(self._tree, 1)
+        self._unit = make_unit(self._machine)
+        self._last = np.array([-1, -1, 0], np.int64)  # kind and node of the last demand row (-1: none yet), rows before it
+
+    def scout(self, rows: Callable[[], Iterator[Any]]) -> None:
+        """Go through all rows once before the first ``events``, if the policy needs that."""
+        prefetch = self._prefetch
+        scout = prefetch.policy.scout
+        unit = scout(self._machine, self._facts, **prefetch.options) if scout else None
+        if unit is None:
+            return
+        self._start(lambda machine: unit)
+        for nodes, kinds in rows():
+            self.events(nodes, kinds)
+        self._start(lambda machine: self._make_unit(machine, self._facts, scouted=unit, **prefetch.options))
 
     def events(self, nodes: np.ndarray, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (nodes, labels) of the demand rows and of the requests that this policy makes; traced requests are dropped.
+        """Return (nodes, access types) of the demand rows and of the policy's requests; traced requests are dropped.
 
         Raises
         ------
-        ValueError
+        NptraceError
             The rows are not a traversal of this tree: a popped node is not on the stack.
         """
-        policy, pieces, start = self._policy, [], 0
+        pieces, start, depth = [], 0, self._machine.stack.shape[1]
         while start < nodes.size:
-            out = np.empty(nodes.size - start + nodes.size // 4 + self._stack.size + 1, np.uint32)
-            labels = np.empty(out.size, np.uint8)
+            out = np.empty(nodes.size - start + nodes.size // 4 + 2 * depth + 2, np.uint32)
+            types = np.empty(out.size, np.uint8)
             start, n, is_bad = rebuild(
-                nodes, kinds, start, self._n_prims, self._parent, self._in_memory, self._boxes,
-                policy.budget, policy.per_triangle, policy.once,
-                policy.empty, self._stack, self._asked, self._state, out, labels,
+                nodes, kinds, start, self._unit, self._machine, self._boxes, self._last, (out, types)
             )  # fmt: skip
             if is_bad:
                 raise NptraceError(
                     f"{self._where}, column 'node', row {self._n_rows + start}: {nodes[start]} does not follow from the rows "
                     "before it, as a node of a traversal does; render the run again"
                 )
-            pieces.append((out[:n], labels[:n]))
+            pieces.append((out[:n], types[:n]))
         self._n_rows += nodes.size
         if len(pieces) == 1:
             return pieces[0]
         return np.concatenate([p[0] for p in pieces] or [nodes]), np.concatenate([p[1] for p in pieces] or [kinds])
 
 
-@kernel
-def rebuild(
-    nodes, kinds, start, n_prims, parent, in_memory, boxes, budget, per_triangle, once, empty, stack, asked, state, out, labels
-):  # fmt: skip
+@kernel(_nrt=False)
+def rebuild(nodes, kinds, start, unit, machine, boxes, last, events):
     """Rebuild the stack over rows ``start`` on and write the events, until the rows or the room for events end.
 
-    ``state`` is sp, pp, the kind and the node of the last demand row. Returns (the first row not done, events written,
-    whether that row contradicts the rows before it).
+    ``last`` is the kind and the node of the last demand row, and the number of demand rows. Returns (the first row not done,
+    events written, whether that row contradicts the rows before it).
     """
-    sp, pp, last_kind, last_node = state[0], state[1], state[2], state[3]
-    n = 0
-    is_bad = False
-    row = start
-    while row < nodes.size and n + stack.size < out.size:
+    out, types = events
+    n_prims, parent, n_lines = machine.tree.n_prims, machine.tree.parent, machine.tree.n_lines
+    stack, pushed_at, depth = machine.stack, machine.pushed_at, machine.stack.shape[1]
+    sp, last_kind, last_node, n_rows = machine.sp[0], last[0], last[1], last[2]
+    slot, n, row, is_bad = np.int64(0), np.int64(0), np.int64(start), False
+    while row < nodes.size and n + 2 * depth + 1 < out.size:
         kind = kinds[row]
         node = np.int64(nodes[row])
         if kind == KIND_PREFETCH:
@@ -178,16 +191,22 @@ def rebuild(
         if node >= n_prims.size or kind > KIND_PREFETCH:
             is_bad = True
             break
+        if last_kind == KIND_LEAF:
+            hooks.on_leaf_end(unit, machine, slot)
         if node == 0:
-            sp = pp = np.int64(0)
+            if last_kind >= 0:
+                hooks.on_end(unit, machine, slot)
+            machine.sp[0] = sp = np.int64(0)
+            hooks.on_start(unit, machine, slot)
         elif last_kind == KIND_PUSH:
-            if sp == stack.size:
+            if sp == depth:
                 is_bad = True
                 break
-            stack[sp] = ((node - 1) ^ 1) + 1
-            asked[sp] = 0
+            stack[0, sp] = ((node - 1) ^ 1) + 1
+            pushed_at[0, sp] = n_rows - 1
             sp += 1
-            pp = sp
+            machine.sp[0] = sp
+            hooks.on_push(unit, machine, slot)
         elif last_kind == KIND_READ and (boxes == NO_BOX or (boxes == CHILD_BOXES and parent[node] == last_node)):
             pass  # the child followed
         elif last_kind < 0:
@@ -195,31 +214,37 @@ def rebuild(
             break
         else:
             # Entries that begin beyond the nearest hit are popped, but not read; where a node has its own box, all are read.
-            while sp > 0 and stack[sp - 1] != node:
+            while sp > 0 and stack[0, sp - 1] != node:
                 sp = np.int64(0) if boxes == OWN_BOX else sp - 1
             if sp == 0:
                 is_bad = True
                 break
             sp -= 1
-            pp = min(pp, sp)
-        if in_memory[node]:
-            out[n] = node
-            labels[n] = READ
+            machine.sp[0] = sp
+            hooks.on_pop(unit, machine, slot)
+        if n_lines[node] > 0:
+            out[n], types[n] = node, READ
             n += 1
-        if kind == KIND_LEAF and (empty or n_prims[node] > 0):
-            left = budget
-            if per_triangle:
-                left = budget * np.int64(n_prims[node])
-            while left > 0 and pp > 0:
-                pp -= 1
-                if (once and asked[pp]) or not in_memory[stack[pp]]:
-                    continue
-                asked[pp] = 1
-                out[n] = stack[pp]
-                labels[n] = REQUEST
-                n += 1
-                left -= 1
+        n = _requests(unit, machine, out, types, n)
+        if kind == KIND_LEAF:
+            hooks.on_leaf(unit, machine, slot, node)
+            n = _requests(unit, machine, out, types, n)
         last_kind, last_node = np.int64(kind), node
+        n_rows += 1
         row += 1
-    state[0], state[1], state[2], state[3] = sp, pp, last_kind, last_node
+    last[0], last[1], last[2] = last_kind, last_node, n_rows
     return row, n, is_bad
+
+
+@kernel(_nrt=False, forceinline=True)
+def _requests(unit, machine, out, types, n):
+    """Write all that the unit wants to request now; return the number of events."""
+    while first_waiting(machine) >= 0:
+        node = hooks.request(unit, machine, np.int64(0))
+        if node < 0:
+            stop_waiting(machine, np.int64(0))
+        else:
+            out[n], types[n] = node, REQUEST
+            n += 1
+            hooks.requested(unit, machine, np.int64(0))
+    return n

@@ -111,7 +111,7 @@ class _Job:
     def __init__(self, config: CacheConfig, prefetch: Prefetch, *, three_c: bool) -> None:
         self.config = config
         self._has_prefetch = prefetch.kind != "none"
-        none = Prefetch("none")
+        none = parse_prefetch("none")
         alone: _Counting | _Exact = _Counting(config) if _is_countable(config) else _Exact(config, none, three_c=False)
         self._alone = alone
         self._full = _Exact(config, prefetch, three_c=three_c) if self._has_prefetch or three_c else None
@@ -165,7 +165,7 @@ class _Group:
         self.n_splits = 0
         self._ahead = prefetch.distance
         self._needs_ids = any(job.needs_ids for job in jobs)
-        self._has_requests = prefetch.kind in ("traced", "stack")
+        self._has_requests = prefetch.has_requests
         self._lines = source.lines(line_bytes, self._ahead)
         # With first uses kept, the remaining demand accesses are also exact for the demand stream alone.
         self._filter = DirectFilter(filter_of, keep_first_use=self._has_requests) if filter_of else None

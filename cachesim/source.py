@@ -9,7 +9,7 @@ import numpy as np
 from cachesim.access import PREFETCH
 from cachesim.layout import Layout, addresses, parse_layout, stored_addresses
 from cachesim.lines import AddressLines, Lines, NodeLines, read_only
-from cachesim.prefetch import KIND_LEAF, KIND_PREFETCH, REQUEST, Prefetch, StackReplay
+from cachesim.prefetch import KIND_LEAF, KIND_PREFETCH, REQUEST, Prefetch, UnitReplay
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 from traces.din import DinTrace
@@ -75,10 +75,11 @@ class RunSource:
     def events(self, prefetch: Prefetch) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (node, access type) batches of reads and requests; the reader has checked that the nodes are the tree's."""
         unit = None
-        if prefetch.kind == "stack":
+        if prefetch.has_unit:
             where = str(self.run.path / "accesses.parquet")
             columns = self.run.columns("nodes", ["n_prims", "level", "parent"])
-            unit = StackReplay(prefetch, self._format, **columns, where=where)
+            unit = UnitReplay(prefetch, self._format, **columns, n_rows=self.run.n_accesses, where=where)
+            unit.scout(self.run.batches)
         for group_nodes, group_kinds in self.run.batches():
             for start in range(0, group_nodes.size, BATCH):
                 nodes, kinds = group_nodes[start : start + BATCH], group_kinds[start : start + BATCH]
@@ -120,7 +121,7 @@ class DinSource:
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[tuple[np.ndarray, np.ndarray | int], np.ndarray]]:
         """Yield ((address, size), access type) batches."""
-        if prefetch.kind == "stack":
+        if prefetch.has_unit:
             raise NptraceError(
                 f"{self.trace.stream.where} has addresses, not pushes, so no stack can be rebuilt for {prefetch}; "
                 "use traced, none or next-line, or replay the run itself"

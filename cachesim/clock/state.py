@@ -93,7 +93,7 @@ def make_state(config: CacheConfig, machine: Machine, parameters: Parameters, n_
     """Return the state before the first cycle; the timeline keeps ``n_logged`` events."""
     n_slots, n_lines = machine.sp.size, machine.status.size
     return ClockState(
-        slots=np.full(n_slots, -1, np.int64).repeat(len(SLOT)).view(SLOT).view(np.recarray),
+        slots=np.full(n_slots, -1, np.int64).repeat(SLOT.itemsize // 8).view(SLOT).view(np.recarray),
         numbers=np.zeros(1, NUMBERS).view(np.recarray),
         calendar=make_calendar(n_slots),
         lists=make_lists(config, n_lines),

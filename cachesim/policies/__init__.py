@@ -53,6 +53,8 @@ class Policy:
         Whether its requests depend on time or on hits, so that only the clock can replay it.
     watches_leaves : bool
         Whether it has a hook at leaves.
+    shown : callable, optional
+        The options' values -> the options as they are printed; None: as they were written.
     is_perfect : bool
         Every demand read hits: no policy, but the bound of all.
     """
@@ -64,7 +66,12 @@ class Policy:
     scout: Callable[..., Any] | None = None
     needs_clock: bool = False
     watches_leaves: bool = False
+    shown: Callable[[dict[str, Any]], Sequence[str]] | None = None
     is_perfect: bool = False
+
+    def show(self, values: dict[str, Any], options: Sequence[str]) -> Sequence[str]:
+        """Return the options as they are printed."""
+        return self.shown(values) if self.shown else options
 
 
 def no_options(options: Sequence[str]) -> dict[str, Any]:
@@ -95,14 +102,14 @@ def policies() -> dict[str, Policy]:
 @cache
 def described() -> dict[str, tuple[str, str]]:
     """Return form and help of the policies of this folder, by module, without importing them: ``--help`` is in a hurry."""
-    found = {}
+    found: dict[str, tuple[str, str]] = {}
     for path in sorted(Path(__file__).parent.glob("[a-z]*.py")):
-        values = {
-            target.id: node.value.value
+        values: dict[str, str] = {
+            target.id: str(node.value.value)
             for node in ast.parse(path.read_text(encoding="utf-8")).body
             if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
             for target in node.targets
-            if isinstance(target, ast.Name)
+            if isinstance(target, ast.Name) and isinstance(node.value.value, str)
         }
         if "FORM" in values:
             found[path.stem] = values["FORM"], values["HELP"]

@@ -16,7 +16,7 @@ from nptrace_base.jit import IS_PLAIN, inlined
 #: Answer of ``request``: nothing.
 NOTHING = -1
 
-_OPTIONS = {"_nrt": False, "forceinline": True, "error_model": "numpy"}
+_OPTIONS: Any = {"_nrt": False, "forceinline": True, "error_model": "numpy"}
 
 
 @inlined

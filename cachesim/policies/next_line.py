@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from cachesim.cache import ALWAYS, ON_MISS, TAGGED
 from cachesim.policies import Facts, Policy, whole
 from cachesim.policies.hooks import NOTHING, as_line
 from cachesim.policies.machine import HIT, MISS, Machine, drop, offer, stop_waiting
@@ -14,7 +15,6 @@ from nptrace_base.jit import inlined
 FORM = "next-line:always|miss|tagged[:DISTANCE]"
 HELP = "the line after each read, each miss, or each miss and first use of a prefetched line"
 
-ALWAYS, ON_MISS, TAGGED = range(1, 4)
 TRIGGERS = {"always": ALWAYS, "miss": ON_MISS, "tagged": TAGGED}
 
 
@@ -74,9 +74,15 @@ def parse(options: Sequence[str]) -> dict[str, Any]:
     return {"trigger": TRIGGERS[options[0]], "distance": whole(options[1], "distance", 1, 999_999) if options[1:] else 1}
 
 
+def shown(values: dict[str, Any]) -> list[str]:
+    """Return the options as they are printed."""
+    name = next(name for name, trigger in TRIGGERS.items() if trigger == values["trigger"])
+    return [name] + ([str(values["distance"])] if values["distance"] != 1 else [])
+
+
 def make_unit(machine: Machine, facts: Facts, *, trigger: int, distance: int) -> NextLine:
     """Return the unit of a machine."""
     return NextLine(np.full(machine.sp.size, -1, np.int64), trigger, distance)
 
 
-POLICY = Policy("next-line", FORM, parse, make_unit)
+POLICY = Policy("next-line", FORM, parse, make_unit, shown=shown)

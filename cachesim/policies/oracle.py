@@ -68,4 +68,4 @@ def make_unit(machine: Machine, facts: Facts, *, scouted: Watched, **options: An
     return stack.make_unit(machine, facts, **options)._replace(wanted=scouted.used)
 
 
-POLICY = Policy("oracle", FORM, stack.parse_unit, make_unit, scout, needs_clock=True, watches_leaves=True)
+POLICY = Policy("oracle", FORM, stack.parse_unit, make_unit, scout, needs_clock=True, watches_leaves=True, shown=stack.shown)

@@ -139,7 +139,7 @@ def parse_unit(options: Sequence[str]) -> dict[str, Any]:
         if values.keys() & new.keys():
             raise NptraceError(f"{option!r} contradicts or repeats an option before it")
         values |= new
-    return values
+    return {"budget": UNLIMITED, "per_triangle": False} | values
 
 
 def parse(options: Sequence[str]) -> dict[str, Any]:
@@ -148,6 +148,14 @@ def parse(options: Sequence[str]) -> dict[str, Any]:
     if list(options).count("live") > 1:
         raise NptraceError("'live' contradicts or repeats an option before it")
     return parse_unit([option for option in options if option != "live"]) | ({"live": True} if is_live else {})
+
+
+def shown(values: dict[str, Any]) -> list[str]:
+    """Return the options as they are printed."""
+    budget = values["budget"]
+    text = "unlimited" if budget == UNLIMITED else f"{'tris*' if values['per_triangle'] else 'budget='}{budget}"
+    level = [f"level={values['levels']}"] if "levels" in values else []
+    return [text, *(name for name in ("once", "empty", "live") if values.get(name)), *level]
 
 
 def scout(machine: Machine, facts: Facts, *, live: bool = False, **options: Any) -> Reads | None:
@@ -170,4 +178,4 @@ def make_unit(
     )  # fmt: skip
 
 
-POLICY = Policy("stack", FORM, parse, make_unit, scout, watches_leaves=True)
+POLICY = Policy("stack", FORM, parse, make_unit, scout, watches_leaves=True, shown=shown)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from cachesim import source
 from cachesim.config import CacheConfig
-from cachesim.prefetch import UNLIMITED, StackReplay, parse_prefetch
+from cachesim.policies.stack import UNLIMITED
+from cachesim.prefetch import UnitReplay, parse_prefetch
 from cachesim.replay import replay
 from cachesim.source import RunSource
 from tests.reference.cache import Cache, derive
@@ -22,7 +23,7 @@ KINDS = ("kdtree", "bvh", "bvh64")
 
 def unit(trace, policy):
     columns = (np.array(column) for column in (trace.n_prims, trace.level, trace.parent))
-    return StackReplay(parse_prefetch(policy), NODE_FORMATS[trace.kind], *columns)
+    return UnitReplay(parse_prefetch(policy), NODE_FORMATS[trace.kind], *columns)
 
 
 def columns(rows):
@@ -41,7 +42,7 @@ def test_the_worked_ray():
     """Seven kd nodes; the ray crosses 3, then 4, then 5, and hits a triangle there (the run format's worked example)."""
     rows = [(0, 1), (1, 1), (3, 2), (4, 2), (2, 0), (5, 2)]
     level, n_prims, parent = np.array([0, 1, 1, 2, 2, 2, 2]), np.array([0, 0, 0, 2, 1, 1, 1]), np.array([-1, 0, 0, 1, 1, 2, 2])
-    replayed = StackReplay(parse_prefetch("stack"), NODE_FORMATS["kdtree"], n_prims, level, parent)
+    replayed = UnitReplay(parse_prefetch("stack"), NODE_FORMATS["kdtree"], n_prims, level, parent)
     nodes, labels = replayed.events(*columns(rows))
     assert list(zip(nodes.tolist(), labels.tolist(), strict=True)) == [
         (0, 0), (1, 0), (3, 0), (4, 11), (2, 11), (4, 0), (2, 0), (5, 0)
@@ -69,8 +70,9 @@ def test_any_policy_is_that_of_the_model(kind, seed, policy, cuts):
     trace = make_trace(kind, seed, n_rays=8)
     text = f"stack{policy[0]}{':once' * policy[1]}{':empty' * policy[2]}"
     parsed = parse_prefetch(text)
-    budget = None if parsed.budget == UNLIMITED else parsed.budget
-    wanted = derive(trace.node_kinds, kind, trace.n_prims, budget, parsed.per_triangle, policy[1], policy[2])
+    budget = parsed.options.get("budget", UNLIMITED)
+    budget = None if budget == UNLIMITED else budget
+    wanted = derive(trace.node_kinds, kind, trace.n_prims, budget, parsed.options.get("per_triangle", False), policy[1], policy[2])
     assert run_through(trace, text, cuts) == wanted
 
 
@@ -182,4 +184,4 @@ def test_a_trace_that_is_not_of_its_tree(kind, rows):
     level, n_prims = np.array([0, 1, 1, 2, 2, 3, 3, 3, 3]), np.ones(9, np.uint32)
     parent = np.array([-1, 0, 0, 1, 1, 3, 3, 4, 4])
     with pytest.raises(ValueError, match="does not follow from the rows before it"):
-        StackReplay(parse_prefetch("stack"), NODE_FORMATS[kind], n_prims, level, parent).events(*columns(rows))
+        UnitReplay(parse_prefetch("stack"), NODE_FORMATS[kind], n_prims, level, parent).events(*columns(rows))

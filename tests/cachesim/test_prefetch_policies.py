@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 import pytest
 
-from cachesim.prefetch import StackReplay, parse_prefetch
+from cachesim.prefetch import UnitReplay, parse_prefetch
 from cachesim.source import RunSource
 from rtrace.camera import ORDERS
 from rtrace.render import Shooting, render
@@ -118,7 +118,7 @@ def test_the_derived_stream_is_that_of_a_unit_that_walks_along(monkeypatch, reco
     nodes, kinds = packed >> 2, (packed & 3).astype(np.uint8)
     table, n_requests, n_events = node_table(tree), {}, 0
     for policy in POLICIES:
-        unit = StackReplay(
+        unit = UnitReplay(
             parse_prefetch(policy), NODE_FORMATS[kind], *(table[name] for name in ("n_prims", "level", "parent"))
         )
         derived = [(int(node), bool(label)) for node, label in zip(*unit.events(nodes, kinds), strict=True)]

@@ -82,7 +82,7 @@ def test_check_agrees_and_exits_1_beyond_a_limit(folder, monkeypatch):
     result = run("check", "ball.obj", "--pixels", "32x32", "--random", 2000)
     assert "0 beyond their limit" in result.stdout
     rows = json.loads(run("check", "ball.obj", "--pixels", "32x32", "--random", 2000, "--json").stdout)
-    assert all(row["is_good"] for row in rows) and {row["tree"] for row in rows} == {"kdtree", "bvh"}
+    assert all(row["is_good"] for row in rows) and {row["tree"] for row in rows} == {"kdtree", "bvh", "bvh64"}
     monkeypatch.setattr("rtrace.checks.embree.KAPPA_LIMIT", -1.0)
     assert "BEYOND" in run("check", "ball.obj", "--pixels", "32x32", "--random", 2000, code=1).stdout
 

@@ -10,7 +10,7 @@ import pytest
 
 from cachesim.config import CacheConfig
 from cachesim.lines import AddressLines
-from cachesim.prefetch import StackReplay, parse_prefetch
+from cachesim.prefetch import UnitReplay, parse_prefetch
 from cachesim.replay import replay
 from cachesim.report import replay_tables
 from cachesim.result import Result
@@ -237,7 +237,7 @@ def test_a_stack_deeper_than_64(kind):
         start += count[i]
     assert most > 64
     table = node_table(tree)
-    unit = StackReplay(parse_prefetch("stack"), NODE_FORMATS[kind], *(table[name] for name in ("n_prims", "level", "parent")))
+    unit = UnitReplay(parse_prefetch("stack"), NODE_FORMATS[kind], *(table[name] for name in ("n_prims", "level", "parent")))
     nodes, kinds = (np.array(column) for column in zip(*events, strict=True))
     derived, labels = unit.events(nodes.astype(np.uint32), kinds.astype(np.uint8))
     assert derived.tolist() == nodes.tolist()
