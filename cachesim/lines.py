@@ -50,6 +50,11 @@ class NodeLines:
         self._first = (first - lowest).astype(np.uint32)
         self._last = (last - lowest).astype(np.uint32) if (last != first).any() else None
 
+    def of_nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lowest line (uint32) and the number of lines (uint8) of every node."""
+        last = self._first if self._last is None else self._last
+        return self._first, (last - self._first + 1).astype(np.uint8)
+
     def accesses(self, events: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of node reads."""
         events = read_only(events)

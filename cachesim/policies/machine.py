@@ -18,7 +18,10 @@ LOST = 16  # a prefetch brought it, it was evicted unused, and nothing has reque
 
 #: The port, and the account of candidates: nodes that a policy wants, until the port takes them. int64 each.
 PORT = np.dtype(
-    [(name, np.int64) for name in ("now", "blocked", "offered", "no_time", "port_busy", "mshr_full", "demanded_first", "issued")]
+    [
+        (name, np.int64)
+        for name in ("now", "blocked", "offered", "no_time", "port_busy", "mshr_full", "demanded_first", "issued")
+    ]
 )
 
 

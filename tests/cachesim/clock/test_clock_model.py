@@ -79,7 +79,14 @@ def both(case, numbers, config, n_slots, fast_policy, slow_policy, *, is_perfect
     numbers["miss"] = numbers["hit"] + numbers.pop("extra")
     machine = make_machine(case.tree, n_slots, case.n_lines)
     is_kd = case.trace.kind == "kdtree"
-    parameters = Parameters(**numbers, is_perfect=is_perfect, skips=is_kd, follows=is_kd, watches_leaves=watches_leaves, mask=set_mask(config.n_sets))
+    parameters = Parameters(
+        **numbers,
+        is_perfect=is_perfect,
+        skips=is_kd,
+        follows=is_kd,
+        watches_leaves=watches_leaves,
+        mask=set_mask(config.n_sets),
+    )
     state = make_state(config, machine, parameters)
     unit = fast_policy(machine)
     for n in steps:
@@ -99,12 +106,18 @@ def both(case, numbers, config, n_slots, fast_policy, slow_policy, *, is_perfect
     }  # fmt: skip
     model = {"total": slow.last_cycle, "unused": len(slow.unused)}
     model |= {name: slow.cycles[name] for name in CYCLES}
-    model |= {name: slow.lines[name] for name in LINES.values()} | {f"candidates: {name}": slow.candidates[name] for name in CANDIDATES.values()}
+    model |= {name: slow.lines[name] for name in LINES.values()} | {
+        f"candidates: {name}": slow.candidates[name] for name in CANDIDATES.values()
+    }
     return fast, model
 
 
 cases = st.builds(
-    Case, st.sampled_from(("kdtree", "bvh")), st.integers(0, 1 << 20), st.sampled_from((16, 32, 64)), st.sampled_from((0, 8, 16, 24))
+    Case,
+    st.sampled_from(("kdtree", "bvh")),
+    st.integers(0, 1 << 20),
+    st.sampled_from((16, 32, 64)),
+    st.sampled_from((0, 8, 16, 24)),
 )
 configs = st.builds(
     lambda n_sets, ways, policy: (n_sets, ways, policy), st.integers(1, 6), st.integers(1, 4), st.sampled_from(("lru", "fifo"))
@@ -119,16 +132,28 @@ def config_of(parts):
 @given(cases, machines, configs, st.integers(1, 8), st.lists(st.integers(1, 12), max_size=2), st.booleans(), st.booleans())
 def test_without_prefetches_every_number_is_that_of_the_model(case, numbers, config, n_slots, steps, is_perfect, watches):
     fast, model = both(
-        case, numbers, config_of(config), n_slots, lambda machine: Nothing(), NoPolicy(),
-        is_perfect=is_perfect, steps=sorted(steps), watches_leaves=watches,
+        case,
+        numbers,
+        config_of(config),
+        n_slots,
+        lambda machine: Nothing(),
+        NoPolicy(),
+        is_perfect=is_perfect,
+        steps=sorted(steps),
+        watches_leaves=watches,
     )
     assert fast == model
     assert sum(fast[name] for name in CYCLES) == n_slots * fast["total"]
 
 
-stacks = st.fixed_dictionaries({
-    "budget": st.none() | st.integers(0, 4), "per_triangle": st.booleans(), "once": st.booleans(), "deepest": st.integers(1, 7),
-})
+stacks = st.fixed_dictionaries(
+    {
+        "budget": st.none() | st.integers(0, 4),
+        "per_triangle": st.booleans(),
+        "once": st.booleans(),
+        "deepest": st.integers(1, 7),
+    }
+)
 
 
 @given(cases, machines, configs, st.integers(1, 8), stacks)
