@@ -9,9 +9,10 @@ from nptrace.commands.replay import replay
 from nptrace.commands.scenes import scenes
 from nptrace.commands.sweep import sweep
 from nptrace.commands.table1 import table1
+from nptrace.commands.time import time_
 from nptrace.groups import Commands
 
 nptrace = Commands(
     "nptrace", [render, scenes, check, export, compile_], help="Stage 1: render scenes and record every node access."
 )
-npcache = Commands("npcache", [replay, sweep, estimate, table1], help="Stage 2: replay node accesses through node caches.")
+npcache = Commands("npcache", [replay, sweep, time_, estimate, table1], help="Stage 2: replay node accesses through node caches.")

@@ -9,10 +9,14 @@ import click
 
 from nptrace.groups import BadInput
 
-PREFETCH_HELP = (
-    "Prefetch policy: none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
-)
 LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
+
+
+def prefetch_help(*, is_timed: bool = True) -> str:
+    """Return what ``--prefetch`` says of the policies; without a clock, of those that need none."""
+    from cachesim.policies import described
+
+    return "Prefetch policies: " + "; ".join(f"{form}: {text}" for form, text in described().values()) + "."
 
 
 def chosen_sources(sources: Sequence[Path], folder: Path) -> list[Path]:
