@@ -1,6 +1,7 @@
 """The two commands, nptrace and npcache, assembled from ``nptrace.commands``."""
 
 from nptrace.commands.check import check
+from nptrace.commands.compare import compare
 from nptrace.commands.compile import compile_
 from nptrace.commands.estimate import estimate
 from nptrace.commands.export import export
@@ -15,4 +16,4 @@ from nptrace.groups import Commands
 nptrace = Commands(
     "nptrace", [render, scenes, check, export, compile_], help="Stage 1: render scenes and record every node access."
 )
-npcache = Commands("npcache", [replay, sweep, time_, estimate, table1], help="Stage 2: replay node accesses through node caches.")
+npcache = Commands("npcache", [replay, sweep, time_, compare, estimate, table1], help="Stage 2: replay node accesses through node caches.")

@@ -96,13 +96,23 @@ def verdict(results: Sequence[Timing]) -> list[str]:
     """Return what the speed-ups say, policy by policy, in a sentence each."""
     found = []
     for policy in dict.fromkeys(each.prefetch for each in results if each.prefetch != "none"):
-        values = [each.speed_up for each in results if each.prefetch == policy and each.speed_up]
-        if values:
-            low, high = min(values), max(values)
-            much = f"{low:.3f}x" if f"{low:.3f}" == f"{high:.3f}" else f"{low:.3f}x to {high:.3f}x"
-            where = "costs time" if high < 0.9995 else ("pays" if low > 1.0005 else "makes no difference")
-            if low < 0.9995 and high > 1.0005:
-                where = "pays in some of these cases and costs time in others"
-            found.append(f"{policy} {where}: the rays take 1/{much} of the time without it."
-                         if len(values) == 1 else f"{policy} {where}: {much} in {len(values)} cases.")  # fmt: skip
+        members = [each for each in results if each.prefetch == policy and each.speed_up]
+        values = sorted(each.speed_up or 0.0 for each in members)
+        if len(members) == 1:
+            [r] = members
+            change = f"{number(r.cycles / r.n_rays, 1)} cycles per ray instead of {number(r.cycles_without / r.n_rays, 1)}"
+            found.append(f"{policy} {_pays(values)}: {change}, a speed-up of {values[0]:.3f}.")
+        elif members:
+            found.append(f"{policy} {_pays(values)}: speed-ups of {values[0]:.3f} to {values[-1]:.3f} in {len(values)} cases.")
     return found
+
+
+def _pays(speed_ups: Sequence[float]) -> str:
+    """Return what sorted speed-ups say; a change of less than half a thousandth is none."""
+    if speed_ups[0] > 1.0005:
+        return "pays"
+    if speed_ups[-1] < 0.9995:
+        return "costs time"
+    if speed_ups[0] >= 0.9995:
+        return "makes no difference" if speed_ups[-1] <= 1.0005 else "pays or makes no difference"
+    return "pays in some cases and costs time in others"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @machine_options
 @list_option("--prefetch", item=str, metavar="POLICIES", default="stack", help=prefetch_help())
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
-@output_option("--timeline", "timeline", help="Write the first cycles of one case as a trace-event file (Perfetto, chrome://tracing).")
+@output_option("--timeline", "timeline", help="Write some cycles of one case as a trace-event file, for Perfetto or chrome://tracing.")
 @threads_option()
 @results_options()
 def time_(
