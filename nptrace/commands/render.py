@@ -38,15 +38,15 @@ from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes
     "kd_text",
     metavar="NAME=VALUE,...",
     default="",
-    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level; `coarse` is max_level=16.",
+    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level, min_leaf, max_leaf; `coarse` is max_level=16.",
 )
 @click.option(
     "--bvh",
-    "bvh_builder",
-    type=click.Choice(["sweep", "binned"]),
+    "bvh_text",
+    metavar="BUILDER,NAME=VALUE,...",
     default="sweep",
     show_default=True,
-    help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
+    help="BVH builder: sweep, exact SAH over all centroids, or binned, up to 16 bins; c_trav, c_isect, min_leaf, max_leaf.",
 )
 @bvh_nodes_option("Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.")
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
@@ -60,7 +60,7 @@ from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def render(
     names: tuple[str, ...], accel: tuple[str, ...], size: str, camera: str | None, light: str | None, order: str, batch: int,
-    seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
+    seed: int, kd_text: str, bvh_text: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
     overwrite: bool, threads: int, strict: bool, offline: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
@@ -80,7 +80,7 @@ def render(
 
     check_run_names(run_names, len(names))
     shooting = Shooting(*parse_size(size), order, batch, seed)
-    chosen = tree_params(accel, kd_text, bvh_builder, bvh_nodes)
+    chosen = tree_params(accel, kd_text, bvh_text, bvh_nodes)
     scenes = load_scenes(names, strict, offline, camera, light)
     for scene in scenes:
         if scene.precision is not None:

@@ -12,7 +12,6 @@ Unlike Manta, which drops a triangle whose clipped part is degenerate, a triangl
 its bounds straddle, so that rounding loses none.
 """
 
-import math
 from functools import partial
 from typing import NamedTuple
 
@@ -21,6 +20,7 @@ import numpy as np
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined, kernel
 from rtrace.trees.clip import POLYGON, split_bounds, value
+from rtrace.trees.leaf_rules import leaf_rules, limits_given
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room, slack_of
 from rtrace.trees.tree import (
@@ -258,11 +258,11 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
     """Split cells until none waits (_DONE) or an array is too short for the next step: let it grow and call again.
 
     Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs,
-    the limit of ``strays``).
+    the limit of ``strays``, min_leaf, max_leaf).
     """
     # Unpacked here, and handed on one by one: a kernel that takes an array out of a tuple counts references, a part of the
     # time of a build.
-    trav, empty_bonus, max_level, max_refs, far = limits
+    trav, empty_bonus, max_level, max_refs, far, min_leaf, max_leaf = limits
     costs = trav, empty_bonus
     cell_node, cell_level, cell_refs, ceiling, begin, end, boxes = cells
     side, slot, straddlers, bounds, below, above, kept, cut, fresh, spare, counts, points = scratch
@@ -274,8 +274,10 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         if state[_REFS] + n > prims.size:
             return _OUT_OF_PRIMS
         axis, half_area = np.int64(LEAF_AXIS), _half_area(boxes, cell)
-        best = (half_area * n, np.int64(0))
-        if level < max_level and state[_NODES] < _TRIANGLE and half_area > 0.0 and n > empty_bonus * trav:
+        is_forced = n > max_leaf
+        best = (np.inf if is_forced else half_area * n, np.int64(0))
+        may_pay = n > min_leaf and (n > empty_bonus * trav or is_forced)
+        if level < max_level and state[_NODES] < _TRIANGLE and half_area > 0.0 and may_pay:
             for k in range(3):
                 trial = _sweep(events, k, (begin[3 * cell + k], end[3 * cell + k]), boxes, cell, n, costs, best)
                 if trial[0] < best[0]:
@@ -283,6 +285,9 @@ def _build(vertices, events, floats, uints, prims, cells, scratch, limits, state
         plane, n_below, n_above = best[1], np.int64(0), np.int64(0)
         if axis != LEAF_AXIS:
             n_below, n_above = _classify(events, axis, (begin[3 * cell + axis], end[3 * cell + axis]), plane, n, side)
+            # A split that does not pay must at least part the triangles, or cut off empty space, which comes to an end.
+            if is_forced and best[0] >= half_area * n and max(n_below, n_above) == n and min(n_below, n_above) > 0:
+                axis, n_below, n_above = np.int64(LEAF_AXIS), np.int64(0), np.int64(0)
         n_refs = state[_PENDING] - n + n_below + n_above
         if axis == LEAF_AXIS or n_refs > ceiling[cell]:
             n_fresh = _list_triangles(events, begin[3 * cell], end[3 * cell], fresh)
@@ -364,7 +369,9 @@ def _grown(array):
     return np.concatenate((array, np.empty_like(array)), axis=-1)
 
 
-def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=511, max_refs=None) -> Tree:
+def build_kdtree(
+    triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=511, max_refs=None, min_leaf=0, max_leaf=None
+) -> Tree:
     """Build the kd-tree that a greedy surface area heuristic finds.
 
     A cell of area A with n triangles is split where ``c_trav + c_isect * (A_below * n_below + A_above * n_above) / A``,
@@ -386,6 +393,9 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         The leaves hold at most so many references in all (at least n); by default 16 n + 1000, usual scenes need 5 n to
         7 n. It bounds the memory that scenes such as a fan of slivers take. The first half is free to all, what is left
         of the second is shared between the two children by their triangles.
+    min_leaf, max_leaf : int
+        A cell with up to ``min_leaf`` triangles is a leaf. One with more than ``max_leaf`` is split at the cheapest plane,
+        also where that does not pay, if the plane parts the triangles or cuts off empty space. None: no limit.
 
     Returns
     -------
@@ -406,10 +416,9 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     n = len(triangles)
     if max_refs is None:
         max_refs = min(16 * n + 1000, _MAX_REFS)
+    leaf = leaf_rules(c_trav, c_isect, min_leaf, max_leaf)
     rules = (
         ("the number of triangles", n, 1 <= n <= _TRIANGLE, "1 to 2**30 - 1; split the scene or drop it"),
-        ("c_trav", c_trav, 0 <= c_trav < math.inf, "finite and not negative, e.g. 1.5"),
-        ("c_isect", c_isect, 0 < c_isect < math.inf, "finite and positive, e.g. 2"),
         ("empty_bonus", empty_bonus, 0 < empty_bonus <= 1, "above 0 and at most 1; 1 is no bonus"),
         ("max_level", max_level, 0 <= max_level <= 65535, "0 to 65535, e.g. 511"),
         ("max_refs", max_refs, n <= max_refs <= _MAX_REFS, f"from the number of triangles, {n}, to 2**31 - 1"),
@@ -437,7 +446,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         bounds=int32(6 * n), below=int32(6 * n), above=int32(6 * n), kept=int64((3, 2 * n)), cut=int64((3, 2 * n)),
         fresh=int64(2 * n), spare=int64(2 * n), counts=int64(9), points=np.empty(3 * POLYGON),
     )  # fmt: skip
-    limits = float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs), extent.limit
+    limits = leaf.trav, float(empty_bonus), int(max_level), int(max_refs), extent.limit, leaf.min_leaf, leaf.max_leaf
     nodes, prims = np.empty(16 * n + 64, np.uint32), np.empty(8 * n + 64, np.int32)
     state = np.array([1, 1, 0, n, 0], np.int64)
     fixed = cells, scratch, limits, state
@@ -456,6 +465,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         "empty_bonus": float(empty_bonus),
         "max_level": int(max_level),
         "max_refs": int(max_refs),
+        **limits_given(min_leaf, max_leaf),
     }
     nodes = nodes[: KD_WORDS * state[_NODES]].copy().view(KD_NODE)
     prims = prims[: state[_REFS]].copy()
