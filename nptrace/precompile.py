@@ -24,7 +24,7 @@ from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import Scene
 from rtrace.scenes.stand_ins import stand_in
-from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, node_table
+from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, in_format, node_table
 from rtrace.trees.tree_cache import TREES, build_tree
 from traces.din import export_din
 from traces.reader import open_run
@@ -139,4 +139,4 @@ def _smallest_tree(scene: Scene, kind: str) -> Tree:
         nodes["child"] = 1, 0, n
     prims = np.concatenate([np.arange(n, dtype=np.int32)] * 2)
     corners, params = np.take(scene.triangles, prims, axis=0), {"builder": "by hand"}
-    return Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, scene.bounds, 1, params)
+    return in_format(Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, scene.bounds, 1, params), kind)

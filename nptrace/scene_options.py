@@ -57,21 +57,38 @@ def check_run_names(names: Sequence[str], n_pictures: int) -> None:
             raise BadInput(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")
 
 
-#: Parameters of the kd-tree builder that a user may set, and the type of each.
-KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int}
+#: Parameters of the builders that a user may set, and the type of each.
+BVH_PARAMS = {"c_trav": float, "c_isect": float, "min_leaf": int, "max_leaf": int}
+KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int, "min_leaf": int, "max_leaf": int}
+BVH_BUILDERS = ("sweep", "binned")
 
 
 def parse_kd(text: str) -> dict[str, Any]:
     """Return the builder's parameters that ``text`` sets: ``coarse`` or NAME=VALUE, separated by commas."""
+    return _parse_builder("--kd", text, {"coarse": {"max_level": 16}}, KD_PARAMS)
+
+
+def parse_bvh(text: str) -> dict[str, Any]:
+    """Return the builder and its parameters that ``text`` sets: ``sweep``, ``binned`` or NAME=VALUE, separated by commas."""
+    return {"builder": "sweep"} | _parse_builder("--bvh", text, {name: {"builder": name} for name in BVH_BUILDERS}, BVH_PARAMS)
+
+
+def _parse_builder(
+    option: str, text: str, words: dict[str, dict[str, Any]], names: dict[str, type[float] | type[int]]
+) -> dict[str, Any]:
     params: dict[str, Any] = {}
     for part in filter(None, text.split(",")):
-        name, equals, value = ("max_level", "=", "16") if part == "coarse" else part.partition("=")
-        if not equals or name not in KD_PARAMS:
-            raise BadInput(f"--kd: {part!r} is neither coarse nor NAME=VALUE with one of the names {', '.join(KD_PARAMS)}")
-        try:
-            params[name] = KD_PARAMS[name](value)
-        except ValueError:
-            raise BadInput(f"--kd: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
+        name, equals, value = part.partition("=")
+        if part in words:
+            params |= words[part]
+        elif not equals or name not in names:
+            either = " nor ".join([*words, "NAME=VALUE"])
+            raise BadInput(f"{option}: {part!r} is neither {either} with one of the names {', '.join(names)}")
+        else:
+            try:
+                params[name] = names[name](value)
+            except ValueError:
+                raise BadInput(f"{option}: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
     return params
 
 
@@ -79,13 +96,14 @@ def parse_kd(text: str) -> dict[str, Any]:
 BVH_NODES = ["32", "64"]
 
 
-def tree_params(accel: Sequence[str], kd_text: str, bvh_builder: str, bvh_nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
+def tree_params(accel: Sequence[str], kd_text: str, bvh_text: str, bvh_nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the parameters of the builder of each kind of tree, from --accel (both if empty), --kd, --bvh and --bvh-nodes."""
     from traces.node_formats import NODE_FORMATS, formats_of
 
     params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text)}
     formats = formats_of("bvh")
-    params |= {formats[int(node_bytes)].name: {"builder": bvh_builder} for node_bytes in bvh_nodes}
+    bvh = parse_bvh(bvh_text)
+    params |= {formats[int(node_bytes)].name: bvh for node_bytes in bvh_nodes}
     return {kind: given for kind, given in params.items() if not accel or NODE_FORMATS[kind].tree in accel}
 
 
@@ -104,7 +122,7 @@ class Picture:
     order: str = "scanline"
     batch: int = 1
     kd_text: str = ""
-    bvh_builder: str = "sweep"
+    bvh_text: str = ""
     bvh_nodes: tuple[str, ...] = ("32",)
     seed: int = 0
     exact_below: int = 100_000_000
@@ -123,7 +141,7 @@ SAME = "As in nptrace render."
 
 def picture_options(command: Any) -> Any:
     """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace on demand."""
-    orders, builders = ["scanline", "tile", "morton", "hilbert", "random"], ["sweep", "binned"]
+    orders = ["scanline", "tile", "morton", "hilbert", "random"]
     for option in reversed((
         click.option("--pixels", default="2048x2048", show_default=True, metavar="WxH", help="Size of the picture."),
         click.option("--camera", metavar="TEXT", help=SAME),
@@ -131,7 +149,7 @@ def picture_options(command: Any) -> Any:
         click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help=SAME),
         click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help=SAME),
         click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help=SAME),
-        click.option("--bvh", "bvh_builder", type=click.Choice(builders), default="sweep", show_default=True, help=SAME),
+        click.option("--bvh", "bvh_text", metavar="BUILDER,NAME=VALUE,...", default="sweep", show_default=True, help=SAME),
         bvh_nodes_option(SAME),
         click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the sample and the order."),
         click.option(

@@ -156,9 +156,12 @@ def _pieces(n: int, batch: int) -> Iterator[_Piece]:
 
 def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
     """Return the command that makes this run again, with every option spelled out."""
-    params = ",".join(f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs"))
+    given = [f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs")]
     node_format = NODE_FORMATS[tree.kind]
-    builder = ["--kd", params] if node_format.tree == "kdtree" else ["--bvh", tree.params["builder"]]
+    if node_format.tree == "kdtree":
+        builder = ["--kd", ",".join(given)]
+    else:
+        builder = ["--bvh", ",".join([tree.params["builder"], *given])]
     if node_format.version > 1:
         builder += ["--bvh-nodes", str(node_format.node_bytes)]
     words = [

@@ -29,7 +29,7 @@ def estimate_scenes(
     from rtrace.trees.tree_cache import cached_tree
 
     shooting = picture.shooting()
-    params = tree_params(accel, picture.kd_text, picture.bvh_builder, picture.bvh_nodes)
+    params = tree_params(accel, picture.kd_text, picture.bvh_text, picture.bvh_nodes)
     if resume is not None and len(scenes) * len(params) > 1:
         raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
     found = []

@@ -46,15 +46,15 @@ if TYPE_CHECKING:
     "kd_text",
     metavar="NAME=VALUE,...",
     default="",
-    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level; `coarse` is max_level=16.",
+    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level, min_leaf, max_leaf; `coarse` is max_level=16.",
 )
 @click.option(
     "--bvh",
-    "bvh_builder",
-    type=click.Choice(["sweep", "binned"]),
+    "bvh_text",
+    metavar="BUILDER,NAME=VALUE,...",
     default="sweep",
     show_default=True,
-    help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
+    help="BVH builder: sweep, exact SAH over all centroids, or binned, up to 16 bins; c_trav, c_isect, min_leaf, max_leaf.",
 )
 @bvh_nodes_option("Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.")
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 @results_options()
 def render(
     names: tuple[str, ...], accel: tuple[str, ...], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
-    batch: int, seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
+    batch: int, seed: int, kd_text: str, bvh_text: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
     overwrite: bool, threads: int, strict: bool, offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
@@ -89,7 +89,7 @@ def render(
 
     check_run_names(run_names, len(names) * max(len(cameras), 1))
     shooting = Shooting(*parse_size(pixels), order, batch, seed)
-    chosen = tree_params(accel, kd_text, bvh_builder, bvh_nodes)
+    chosen = tree_params(accel, kd_text, bvh_text, bvh_nodes)
     scenes = load_scenes(names, strict, offline, cameras, light)
     for scene in scenes:
         if scene.precision is not None:
