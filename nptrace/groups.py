@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from nptrace import __version__
+from nptrace import __version__, progress
 from nptrace_base import compiling
 from nptrace_base.errors import NptraceError
 
@@ -50,6 +50,16 @@ class BadInput(click.ClickException):
     exit_code = 2
 
 
+def _level_option(short: str, long: str, level: int, help: str) -> Any:
+    """Return the option that sets how much is said."""
+
+    def choose(ctx: click.Context, param: click.Parameter, is_chosen: bool) -> None:
+        if is_chosen:
+            progress.level = level
+
+    return click.option(short, long, is_flag=True, is_eager=True, expose_value=False, callback=choose, help=help)
+
+
 class Command(click.Command):
     """A command with ``old`` spellings of its options, which still work and say what to write instead."""
 
@@ -64,7 +74,7 @@ class Command(click.Command):
                 break
             name, equals, value = text.partition("=")
             if name in self._old:
-                click.echo(f"{name} is now {self._old[name]}; the old spelling will go", err=True)
+                progress.say(f"{name} is now {self._old[name]}; the old spelling will go")
                 args[i] = self._old[name] + equals + value
         return super().parse_args(ctx, args)
 
@@ -79,6 +89,9 @@ class Commands(click.Group):
         super().__init__(name, commands, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
         for command in (self, *commands):
             click.version_option(__version__, prog_name=name, message="%(prog)s %(version)s")(command)
+            if command is not self:
+                _level_option("-q", "--quiet", progress.QUIET, "Print results and errors only.")(command)
+                _level_option("-v", "--verbose", progress.VERBOSE, "Print also notes that carry no news.")(command)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run as a program: a message announces compiling, Ctrl-C ends it quietly."""
@@ -87,7 +100,7 @@ class Commands(click.Group):
         gc.set_threshold(*compiling.GC_THRESHOLD)
         # Before NumPy is imported: no command multiplies large matrices, and OpenBLAS's idle threads spin for 0.1 s.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        compiling.announce = lambda text: click.echo(text, err=True)
+        compiling.announce = progress.say
         interrupt = Interrupt()
         try:
             return super().__call__(**kwargs)
@@ -103,6 +116,7 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""
+        progress.level = progress.USUAL
         try:
             return super().invoke(ctx)
         except BrokenPipeError:

@@ -1,5 +1,7 @@
 """npcache estimate: miss rates of a large picture from part of its rays."""
 
+import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +12,7 @@ from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import BadInput
 from nptrace.options import list_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Progress, done
 from nptrace.scene_options import Picture, load_scenes, picture_options, tree_params
 
 if TYPE_CHECKING:
@@ -31,15 +33,17 @@ def estimate_scenes(
     if resume is not None and len(scenes) * len(accel) > 1:
         raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
     found = []
-    for scene in scenes:
-        for kind in accel:
-            source = RayUnits(scene, cached_tree(scene, kind, **params[kind]), shooting)
-            with progress_bar(f"estimate {source.identity.run}", None) as progress:
+    with Progress(len(scenes) * len(accel)) as bar:
+        for scene in scenes:
+            for kind in accel:
+                bar.job(f"{scene.label} {kind}")
+                bar.phase("build")
+                source = RayUnits(scene, cached_tree(scene, kind, **params[kind]), shooting)
                 result = estimate_source(
                     source, configs, target, seed=picture.seed, threads=picture.threads, exact_below=picture.exact_below,
-                    resume=resume, progress=progress,
+                    resume=resume, progress=bar.phase("estimate", None),
                 )  # fmt: skip
-            found.append((kind, scene, result))
+                found.append((kind, scene, result))
     return found
 
 
@@ -74,7 +78,7 @@ def estimate(
     from cachesim.report.table1 import caches
     from cachesim.sampling.estimate import parse_target
 
-    target = parse_target(error)
+    target, began = parse_target(error), time.perf_counter()
     configs = caches() if is_table1 else [
         CacheConfig(one_size, parse_ways(ways, one_size, parse_bytes(line)), parse_bytes(line))
         for one_size in size for ways in assoc
@@ -83,3 +87,5 @@ def estimate(
     found = estimate_scenes(scenes, accel or ("kdtree", "bvh"), configs, target, Picture(**picture), resume)
     results = [result for _, _, result in found]
     output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))
+    methods = ", ".join(f"{n} {method}" for method, n in Counter(result.method for result in results).items())
+    done(f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches", began)

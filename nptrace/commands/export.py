@@ -1,10 +1,13 @@
 """nptrace export: a run as a trace that DineroIV replays."""
 
+import shlex
+import time
 from pathlib import Path
 
 import click
 
 from nptrace.output import output_option
+from nptrace.progress import Progress, done, say
 
 
 @click.command()
@@ -30,8 +33,11 @@ def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | Non
     from traces.format import printable
     from traces.reader import open_run
 
-    opened = open_run(run)
+    opened, began = open_run(run), time.perf_counter()
     target = output or Path(f"{opened.name}.{form}")
-    form_of = "binary" if binary else "text"
-    written = export_din(opened, target, fmt=form_of, prefetch=prefetch, warn=lambda text: click.echo(text, err=True))
-    click.echo(f"{printable(str(target))}: {written:,} accesses", err=True)
+    with Progress(1) as bar:
+        bar.job(opened.name)
+        bar.phase("export")
+        written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch, warn=say)
+    name = printable(str(target))
+    done(f"{name}: {written:,} accesses", began, "" if name == "-" else f"npcache replay {shlex.quote(name)}")

@@ -1,5 +1,8 @@
 """nptrace render: scenes -> runs."""
 
+import shlex
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +12,7 @@ from nptrace import __version__
 from nptrace.groups import Command
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Progress, detail, done, say, size_text
 from nptrace.scene_options import check_run_names, load_scenes, scene_options, tree_params
 
 if TYPE_CHECKING:
@@ -85,7 +88,9 @@ def render(
     from rtrace.render import Shooting, render_all
     from rtrace.scenes import float32_check
     from rtrace.trees.strays import margin_note
+    from traces.format import printable
 
+    began = time.perf_counter()
     check_run_names(run_names, len(names) * max(len(cameras), 1))
     shooting = Shooting(*parse_size(pixels), order, batch, seed)
     params = tree_params(kd_text, bvh_builder)
@@ -93,17 +98,26 @@ def render(
     scenes = load_scenes(names, strict, offline, cameras, light)
     for scene in scenes:
         if scene.precision is not None:
-            click.echo(f"{scene.label}: {float32_check.choice(scene.precision)}", err=True)
+            detail(f"{scene.label}: {float32_check.choice(scene.precision)}")
         if note := margin_note(scene.triangles, scene.bounds, scene.camera.eye):
-            click.echo(f"{scene.label}: {note}", err=True)
-    n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen)
-    with progress_bar("trace", n_pixels) as progress:
+            say(f"{scene.label}: {note}")
+    with Progress(len(scenes) * len(chosen)) as progress:
+
+        def on_phase(run: str, phase: str, total: int | None) -> Callable[[int], object]:
+            if phase == "build":
+                progress.job(run)
+            return progress.phase(phase, total)
+
         summaries = render_all(
             scenes, chosen, shooting, out, names=run_names, overwrite=overwrite, threads=threads,
-            tool_version=__version__, progress=progress,
+            tool_version=__version__, on_phase=on_phase,
         )  # fmt: skip
         runs = list(summaries)
     output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
+    n_rays, n_bytes = sum(run.n_rays for run in runs), sum(run.n_bytes for run in runs)
+    folder = "" if str(out) == "traces" else f"--traces {shlex.quote(printable(str(out)))} "
+    what = f"{len(runs)} run{'s' * (len(runs) != 1)}, {n_rays:,} rays, {size_text(n_bytes)}"
+    done(what, began, f"npcache replay {folder}--size 8K,16K")
 
 
 def table_of(runs: "list[Summary]") -> "Table":

@@ -1,5 +1,6 @@
 """npcache replay: runs and traces through caches, exactly."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import Command
 from nptrace.options import list_option
 from nptrace.output import Output, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Counted, Progress, done
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, chosen_sources, traces_option
 
 if TYPE_CHECKING:
@@ -53,14 +54,22 @@ def replay(
     ]  # fmt: skip
     policies, layouts = [parse_prefetch(text) for text in prefetch], [parse_layout(text) for text in layout]
     results: list[Result] = []
-    for path in chosen_sources(sources, folder):
-        for one_layout in layouts:
-            source = open_source(path, one_layout)
-            source.check_passes(len(policies))
-            for one_prefetch in policies:
-                with progress_bar("replay", source.n_events) as progress:
+    paths = chosen_sources(sources, folder)
+    began, n_events = time.perf_counter(), 0
+    with Progress(len(paths) * len(layouts) * len(policies)) as bar:
+        for path in paths:
+            for one_layout in layouts:
+                source = open_source(path, one_layout)
+                source.check_passes(len(policies))
+                for one_prefetch in policies:
+                    bar.job(source.identity.run)
+                    progress = Counted(bar.phase(f"replay, prefetch {one_prefetch}", source.n_events))
                     results += replay_source(source, configs, prefetch=one_prefetch, three_c=three_c, progress=progress)
+                    n_events += progress.n
     output.write(
         [result.to_dict() for result in results], lambda: replay_tables.tables(results),
         dinero=lambda: replay_tables.to_dinero(results),
     )  # fmt: skip
+    n_runs = len({result.identity for result in results})
+    what = f"{n_runs} run{'s' * (n_runs != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {n_events:,} accesses read"
+    done(what, began, "npcache sweep -o sweep.csv")

@@ -1,5 +1,6 @@
 """npcache table1: Table I of the paper beside ours."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,7 +9,7 @@ import click
 from nptrace.commands.estimate import estimate_scenes
 from nptrace.groups import BadInput
 from nptrace.output import Output, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, load_scenes
 from nptrace.sources import chosen_sources, traces_option
 
@@ -51,11 +52,14 @@ def table1(
     chosen = table.choose_runs(runs)
     if not chosen:
         raise BadInput(f"no run in {folder} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
-    with progress_bar("replay", sum(run.n_accesses for run in chosen.values())) as progress:
-        rows = table.table1(chosen, progress=progress)
+    began = time.perf_counter()
+    with Progress(1) as bar:
+        bar.job("Table I")
+        rows = table.table1(chosen, progress=bar.phase("replay", sum(run.n_accesses for run in chosen.values())))
     for tree, scene in table.missing(chosen):
-        click.echo(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}", err=True)
+        say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
+    done(f"{len(chosen)} runs, {len(rows)} caches", began)
 
 
 def estimated_table1(error: str, pixels: str, seed: int, output: Output) -> None:
