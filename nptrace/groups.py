@@ -2,6 +2,7 @@
 
 import errno
 import gc
+import importlib
 import io
 import os
 import signal
@@ -50,6 +51,33 @@ class BadInput(click.ClickException):
     exit_code = 2
 
 
+class _Commands(dict[str, click.Command]):
+    """The commands of a program by name, each imported when it is looked up."""
+
+    def __init__(self, program: str, names: list[str]) -> None:
+        super().__init__(dict.fromkeys(names))  # type: ignore[arg-type]
+        self._program = program
+
+    def __getitem__(self, name: str) -> click.Command:
+        if super().__getitem__(name) is None:
+            found = vars(importlib.import_module(f"nptrace.commands.{name}"))
+            command: click.Command = found.get(f"{name}_") or found[name]
+            _version_option(self._program)(command)
+            _level_option("-q", "--quiet", progress.QUIET, "Print results and errors only.")(command)
+            _level_option("-v", "--verbose", progress.VERBOSE, "Print also notes that carry no news.")(command)
+            self[name] = command
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        if name not in self:
+            return default
+        return self[name]
+
+
+def _version_option(program: str) -> Any:
+    return click.version_option(__version__, prog_name=program, message="%(prog)s %(version)s")
+
+
 def _level_option(short: str, long: str, level: int, help: str) -> Any:
     """Return the option that sets how much is said."""
 
@@ -82,16 +110,14 @@ class Command(click.Command):
 class Commands(click.Group):
     """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback.
 
-    It and each of its commands have ``--version``, ``-h`` and ``--help``.
+    It and each of its commands have ``--version``, ``-h`` and ``--help``. A command is a function in the module of its name in
+    ``nptrace.commands``, with a trailing underscore where the name is Python's; it is imported when it is needed.
     """
 
-    def __init__(self, name: str, commands: list[click.Command], **kwargs: Any) -> None:
-        super().__init__(name, commands, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
-        for command in (self, *commands):
-            click.version_option(__version__, prog_name=name, message="%(prog)s %(version)s")(command)
-            if command is not self:
-                _level_option("-q", "--quiet", progress.QUIET, "Print results and errors only.")(command)
-                _level_option("-v", "--verbose", progress.VERBOSE, "Print also notes that carry no news.")(command)
+    def __init__(self, name: str, commands: list[str], **kwargs: Any) -> None:
+        super().__init__(name, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
+        self.commands = _Commands(name, commands)
+        _version_option(name)(self)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run as a program: a message announces compiling, Ctrl-C ends it quietly."""

@@ -9,13 +9,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput
-from nptrace.options import threads_option
+from nptrace.options import ListOf, merged, threads_option
 from nptrace.progress import Progress, say
 
 if TYPE_CHECKING:
     from rtrace.camera import Camera
     from rtrace.render import Shooting
     from rtrace.scenes.scene import Scene
+
+
+def accel_option() -> Any:
+    """Return the option for the trees, as a list of names."""
+    return click.option(
+        "--accel", type=ListOf("TREES", _tree), metavar="TREES", multiple=True, callback=merged,
+        help="Trees to build, kdtree and bvh; both by default.",
+    )  # fmt: skip
+
+
+def _tree(name: str) -> str:
+    if name not in ("kdtree", "bvh"):
+        raise BadInput(f"--accel: {name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
+    return name
 
 
 def scene_options(command: Any) -> Any:

@@ -22,7 +22,7 @@ JOB = (
     ("nptrace", "render", "sponza", "bunny", "--name", "sponza", "--name", "bunny", "--offline", "--pixels", "48x48"),
     ("npcache", "replay", "--size", "8K,16K", "--assoc", "1,2", "--json"),
     ("npcache", "table1"),
-    ("nptrace", "export", "traces/sponza-bvh", "--to", "din"),
+    ("nptrace", "export", "traces/sponza-bvh"),
     ("npcache", "sweep", "sponza-bvh.din", "--size", "1K..8K"),
 )
 

@@ -10,10 +10,10 @@ import click
 
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import BadInput
-from nptrace.options import list_option
+from nptrace.options import list_option, size_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.scene_options import Picture, load_scenes, picture_options, tree_params
+from nptrace.scene_options import Picture, accel_option, load_scenes, picture_options, tree_params
 
 if TYPE_CHECKING:
     from cachesim.sampling.estimate import Estimated, Target
@@ -49,8 +49,8 @@ def estimate_scenes(
 
 @click.command()
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
-@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
-@list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
+@accel_option()
+@size_option()
 @list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Associativity: numbers of ways, e.g. 1,2,full.")
 @click.option("--line", type=str, default="32", show_default=True, metavar="SIZE", help="Line size in bytes.")
 @click.option("--table1", "is_table1", is_flag=True, help="Use the four caches of Table I instead of --size and --assoc.")
@@ -62,7 +62,7 @@ def estimate_scenes(
 @output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
 @results_options()
 def estimate(
-    names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
+    names: tuple[str, ...], accel: list[str], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
     resume: Path | None, output: Output, strict: bool, offline: bool, camera: str | None, light: str | None, **picture: Any,
 ) -> None:  # fmt: skip
     """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.

@@ -13,7 +13,7 @@ from nptrace.groups import Command
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, detail, done, say, size_text
-from nptrace.scene_options import check_run_names, load_scenes, scene_options, tree_params
+from nptrace.scene_options import accel_option, check_run_names, load_scenes, scene_options, tree_params
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=Command, old={"--size": "--pixels"})
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
-@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
+@accel_option()
 @click.option("--pixels", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
 @click.option(
     "--camera", "cameras", multiple=True, metavar="TEXT",
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 @scene_options
 @results_options()
 def render(
-    names: tuple[str, ...], accel: tuple[str, ...], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
+    names: tuple[str, ...], accel: list[str], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
     batch: int, seed: int, kd_text: str, bvh_builder: str, out: Path, run_names: tuple[str, ...], overwrite: bool,
     threads: int, strict: bool, offline: bool, output: Output,
 ) -> None:  # fmt: skip

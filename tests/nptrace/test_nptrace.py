@@ -99,11 +99,11 @@ def test_scenes_are_listed(folder):
 
 def test_an_exported_run_is_a_din_trace(folder):
     run("render", "ball.obj", "--name", "ball", "--accel", "bvh", "--pixels", "16x16")
-    run("export", "traces/ball-bvh", "--to", "din")
+    run("export", "traces/ball-bvh")
     lines = Path("ball-bvh.din").read_text().splitlines()
     assert len(lines) == open_run("traces/ball-bvh").n_accesses
     assert {line.split()[0] for line in lines} == {"0", "b"}
-    run("export", "traces/ball-bvh", "--to", "din", "--binary", "--prefetch", "omit", "-o", "x.bin")
+    run("export", "traces/ball-bvh", "--binary", "--prefetch-as", "omit", "-o", "x.bin")
     assert Path("x.bin").stat().st_size == 8 * sum(line[0] == "0" for line in lines)
 
 

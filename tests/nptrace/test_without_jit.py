@@ -23,7 +23,7 @@ npcache sweep runs/ball-kdtree runs/ball-bvh --size 512..4K --ways 1..16,full --
 npcache sweep runs/ball-kdtree --size 512..4K --ways 1..4 --layout bfs --prefetch traced,stack:tris*2
 npcache estimate ball.obj --size 1K --ways 2 --pixels 24x16 --json
 nptrace check ball.obj --pixels 8x8 --random 50 --json
-nptrace export runs/ball-kdtree --to din -o ball.din
+nptrace export runs/ball-kdtree -o ball.din
 npcache replay ball.din --size 1K --ways 2 --format dinero
 """
 
