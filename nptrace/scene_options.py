@@ -9,12 +9,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput
-from nptrace.options import threads_option
+from nptrace.options import ListOf, merged, threads_option
+from nptrace.progress import Progress, say
 
 if TYPE_CHECKING:
     from rtrace.camera import Camera
     from rtrace.render import Shooting
     from rtrace.scenes.scene import Scene
+
+
+def accel_option() -> Any:
+    """Return the option for the trees, as a list of names."""
+    return click.option(
+        "--accel", type=ListOf("TREES", _tree), metavar="TREES", multiple=True, callback=merged,
+        help="Trees to build, kdtree and bvh; both by default.",
+    )  # fmt: skip
+
+
+def _tree(name: str) -> str:
+    if name not in ("kdtree", "bvh"):
+        raise BadInput(f"--accel: {name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
+    return name
 
 
 def scene_options(command: Any) -> Any:
@@ -34,16 +49,20 @@ def load_scenes(
     from rtrace.camera import parse_camera, parse_point
     from rtrace.scenes.catalog import load_scene
     from rtrace.scenes.scene import dropped_sentence, seen_from
+    from traces.format import printable
 
     views: list[Camera | None] = [*map(parse_camera, cameras)] or [None]
     lamp = parse_point(light) if light else None
     scenes = []
-    for name in names:
-        scene = load_scene(name, strict=strict, download=not offline, notify=lambda text: click.echo(text, err=True))
-        for sentence in (dropped_sentence(scene), *scene.notes):
-            if sentence:
-                click.echo(sentence, err=True)
-        scenes += [seen_from(scene, view, lamp) for view in views]
+    with Progress(len(names)) as progress:
+        for name in names:
+            progress.job(printable(name))
+            progress.phase("load")
+            scene = load_scene(name, strict=strict, download=not offline, notify=say)
+            for sentence in (dropped_sentence(scene), *scene.notes):
+                if sentence:
+                    say(sentence)
+            scenes += [seen_from(scene, view, lamp) for view in views]
     return scenes
 
 

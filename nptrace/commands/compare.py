@@ -1,5 +1,6 @@
 """npcache compare: all prefetch policies side by side, and what needs none."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from nptrace.clock_options import SOURCES, Machines, machine_options
 from nptrace.groups import BadInput, Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, chosen_sources, traces_option
 
 if TYPE_CHECKING:
@@ -48,14 +49,18 @@ def compare(
         )
     names = [] if prefetch == ["all"] else prefetch
     rows: list[Compared] = []
-    for path in chosen_sources(sources, folder):
-        run = open_run(path)
-        with progress_bar(f"compare {run.name}", None) as progress:
+    paths, began = chosen_sources(sources, folder), time.perf_counter()
+    with Progress(len(paths)) as bar:
+        for path in paths:
+            run = open_run(path)
+            bar.job(run.name)
             rows += compare_run(
                 run, machines.configs[0], machines.clocks[0], layout=layout, prefetches=names, has_baselines=baselines,
-                threads=threads, progress=progress,
+                threads=threads, progress=bar.phase("compare"),
             )  # fmt: skip
-    if picture is not None:
-        compare_tables.plot(rows, picture)
+        if picture is not None:
+            bar.phase("plot")
+            compare_tables.plot(rows, picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
+    done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began)

@@ -1,5 +1,6 @@
 """npcache time: runs through a node cache, a memory and a prefetch unit, cycle by cycle."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,7 @@ from nptrace.clock_options import SOURCES, Machines, machine_options
 from nptrace.groups import BadInput, Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, chosen_sources, prefetch_help, traces_option
 
 if TYPE_CHECKING:
@@ -52,13 +53,18 @@ def time_(
     if timeline is not None and n_cases > 1:
         raise BadInput(f"--timeline shows one case, and the options ask for {n_cases}; name one run, cache, machine and policy")
     results: list[Timing] = []
-    for path in paths:
-        for one_layout in layouts:
-            source = open_source(path, one_layout)
-            with progress_bar(f"time {source.identity.run}", source.n_events) as progress:
-                results += time_run(source, machines.configs, machines.clocks, policies, threads=threads, progress=progress)
-            if timeline is not None:
-                from cachesim.clock.timeline import write_timeline
+    began = time.perf_counter()
+    with Progress(len(paths) * len(layouts)) as bar:
+        for path in paths:
+            for one_layout in layouts:
+                source = open_source(path, one_layout)
+                bar.job(source.identity.run)
+                advance = bar.phase("time", source.n_events)
+                results += time_run(source, machines.configs, machines.clocks, policies, threads=threads, progress=advance)
+                if timeline is not None:
+                    from cachesim.clock.timeline import write_timeline
 
-                write_timeline(source, machines.configs[0], machines.clocks[0], policies[0], timeline)
+                    bar.phase("timeline")
+                    write_timeline(source, machines.configs[0], machines.clocks[0], policies[0], timeline)
     output.write([result.to_dict() for result in results], lambda: timing_tables.tables(results))
+    done(f"{len(results)} case{'s' * (len(results) != 1)}, {sum(result.cycles for result in results):,} cycles", began)

@@ -61,7 +61,13 @@ def test_a_kernel_pasted_into_another_file_is_compiled_again(project, tmp_path):
 
 def test_users_are_found_through_others_and_inside_functions():
     users = {path.relative_to(ROOT).as_posix() for path in users_of("rtrace/intersect.py", ROOT)}
-    assert {"rtrace/traverse.py", "rtrace/chunk.py", "rtrace/render.py", "rtrace/checks/embree.py", "cli.py"} <= users
+    assert {
+        "rtrace/traverse.py",
+        "rtrace/chunk.py",
+        "rtrace/render.py",
+        "rtrace/checks/embree.py",
+        "nptrace/commands/check.py",
+    } <= users
     assert not any(name.startswith("cachesim/") for name in users)
     every = {path.relative_to(ROOT).as_posix() for path in users_of("nptrace_base/jit.py", ROOT)}
     assert {"rtrace/trees/kdtree.py", "cachesim/cache.py", "traces/din.py"} <= every

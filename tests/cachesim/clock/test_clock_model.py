@@ -1,7 +1,8 @@
 """The clock against a model that steps every cycle: every number equal, on random trees, traces, machines and policies."""
 
+from typing import NamedTuple
+
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,7 +15,6 @@ from cachesim.policies import stack
 from cachesim.policies.machine import Tree, make_machine
 from tests.reference.clock import NoPolicy, SlowClock, SlowStack, visits_of
 from tests.reference.traces import make_trace
-from typing import NamedTuple
 
 LINES = {
     "hits": "hits", "misses": "misses", "joined_by_demand": "joined by demand", "redundant": "redundant", "joined": "joined",
