@@ -20,7 +20,7 @@ NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::tes
 PAGES := README.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test test-nojit bench lint wheel-check docs docs-check correctness fuzz speed-error reproduce-table clean
+.PHONY: help test test-nojit bench lint wheel-check map docs docs-check correctness fuzz speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -49,6 +49,11 @@ reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and prin
 	@$(BIN)/nptrace render bunny conference sibenik sponza --out $(RUNS) --threads $(THREADS)
 	@$(BIN)/npcache table1 --traces $(RUNS)
 	@echo "A picture of every scene: $(RUNS)/*/image.png"
+
+map: $(INSTALLED) ## Map where prefetching pays, on the four scenes, twenty minutes, and write docs/does-it-pay.md (ARGS=--quick: a minute, writes nothing)
+	@test -n "$(ARGS)" || test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
+	$(BIN)/nptrace map bunny conference sibenik sponza --out $(VENV)/map $(or $(ARGS),-o docs/data/map.parquet --plot docs/map.png)
+	@test -n "$(ARGS)" || $(BIN)/cog -r docs/does-it-pay.md
 
 docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }

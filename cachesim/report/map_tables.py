@@ -1,0 +1,118 @@
+"""The break-even map as a table, in sentences, and as a plot."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from nptrace_base.atomic import whole_file
+from nptrace_base.errors import NptraceError
+from nptrace_base.tables import Table, number
+
+#: What a policy is called in a sentence.
+TITLES = {"stack:unlimited": "the paper's unit", "push": "asking at the push"}
+TREES = {"kdtree": "kd-tree, 8-byte nodes", "bvh": "BVH, 32-byte nodes", "bvh64": "BVH, 64-byte nodes"}
+
+#: A speed-up within this of 1 makes no difference.
+NO_DIFFERENCE = 0.005
+
+NOTES = (
+    "speed-up = cycles without prefetching / with, the same cache and machine: median (least to most) over scenes, leaf sizes, triangle "
+    "tests, miss latencies and caches; pays % and costs %: cells above 1.005 and below 0.995.",
+)
+
+Row = Mapping[str, Any]
+
+
+def tables(rows: Sequence[Row]) -> tuple[list[Table], list[str]]:
+    """Return the table by tree, policy and rays in flight, and the notes below it."""
+    header = ["tree", "prefetch", "rays", "speed-up", "least", "most", "pays\n%", "costs\n%", "cells"]
+    lines, sections = [], set()
+    for tree in _distinct(rows, "tree"):
+        for prefetch in _distinct(rows, "prefetch"):
+            for rays in _distinct(rows, "rays"):
+                values = speed_ups(rows, tree=tree, prefetch=prefetch, rays=rays)
+                if values:
+                    lines.append([tree, prefetch, str(rays), *_summary(values)])
+            sections.add(len(lines) - 1)
+    return [Table("", header, lines, n_left=2, sections=sections, extra=("cells", "least"))], [*NOTES, *verdict(rows)]
+
+
+def _summary(values: Sequence[float]) -> list[str]:
+    pays = sum(value > 1 + NO_DIFFERENCE for value in values)
+    costs = sum(value < 1 - NO_DIFFERENCE for value in values)
+    return [
+        number(median(values), 3), number(min(values), 3), number(max(values), 3), number(100 * pays / len(values)),
+        number(100 * costs / len(values)), number(len(values)),
+    ]  # fmt: skip
+
+
+def _distinct(rows: Sequence[Row], name: str) -> list[Any]:
+    return list(dict.fromkeys(row[name] for row in rows))
+
+
+def speed_ups(rows: Sequence[Row], **wanted: Any) -> list[float]:
+    """Return the speed-ups of the cells that have these values."""
+    return [row["speed_up"] for row in rows if row["speed_up"] and all(row[name] == value for name, value in wanted.items())]
+
+
+def verdict(rows: Sequence[Row]) -> list[str]:
+    """Return, for each tree, where each policy pays, where it costs, and by how much."""
+    found = []
+    for tree in _distinct(rows, "tree"):
+        for prefetch in _distinct(rows, "prefetch"):
+            cells = [row for row in rows if row["tree"] == tree and row["prefetch"] == prefetch and row["speed_up"]]
+            if not cells:
+                continue
+            best, worst = max(cells, key=lambda row: row["speed_up"]), min(cells, key=lambda row: row["speed_up"])
+            text = f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)} gives {median(r['speed_up'] for r in cells):.3f}x in the "
+            text += f"middle, {best['speed_up']:.2f}x at best ({_where(best)})"
+            if worst["speed_up"] < 1 - NO_DIFFERENCE:
+                text += f", and costs up to {100 * (1 / worst['speed_up'] - 1):.1f} % more cycles ({_where(worst)})"
+            found.append(text + ".")
+    return found
+
+
+def _where(row: Row) -> str:
+    cache = f"{row['size_bytes'] // 1024}K {row['ways']}-way"
+    return f"{row['scene']}, leaf {row['leaf']}, {cache}, triangle {row['triangle']}, miss {row['miss']}, rays {row['rays']}"
+
+
+def plot(rows: Sequence[Row], path: Path) -> None:
+    """Draw the median speed-up over scenes and caches: a panel per tree and policy, leaf size and triangle test by miss and rays."""
+    if path.suffix not in (".png", ".svg", ".pdf"):
+        raise NptraceError(f"{path}: a plot ends in .png, .svg or .pdf")
+    with whole_file(path) as temporary:
+        try:
+            from matplotlib import rc_context
+            from matplotlib.colors import TwoSlopeNorm
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
+        with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 8}):
+            trees, policies = _distinct(rows, "tree"), _distinct(rows, "prefetch")
+            across = [(rays, miss) for rays in _distinct(rows, "rays") for miss in _distinct(rows, "miss")]
+            down = [(leaf, triangle) for leaf in _distinct(rows, "leaf") for triangle in _distinct(rows, "triangle")]
+            figure = Figure(figsize=(1.0 + 4.2 * len(policies), 0.8 + 2.6 * len(trees)), layout="constrained")
+            panels = figure.subplots(len(trees), len(policies), squeeze=False, sharex=True, sharey=True)
+            norm = TwoSlopeNorm(1.0, 0.9, 1.7)
+            image = None
+            for tree, panel_row in zip(trees, panels, strict=True):
+                for prefetch, panel in zip(policies, panel_row, strict=True):
+                    cells = [
+                        [median(speed_ups(rows, tree=tree, prefetch=prefetch, rays=a[0], miss=a[1], leaf=d[0], triangle=d[1])) for a in across]
+                        for d in down
+                    ]  # fmt: skip
+                    image = panel.imshow(cells, cmap="RdBu", norm=norm, aspect="auto")
+                    for y, line in enumerate(cells):
+                        for x, value in enumerate(line):
+                            panel.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=4.5)
+                    panel.set_title(f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)}", fontsize=8)
+                    panel.set_xticks(range(len(across)), [f"{rays} x {miss}" for rays, miss in across], rotation=90, fontsize=6)
+                    panel.set_yticks(range(len(down)), [f"{leaf}, {triangle}" for leaf, triangle in down], fontsize=6)
+            figure.supxlabel("rays in flight x miss latency (cycles)", fontsize=8)
+            figure.supylabel("triangles per leaf, cycles per triangle test", fontsize=8)
+            assert image is not None
+            figure.colorbar(image, ax=panels, label="median speed-up over scenes and caches", shrink=0.6)
+            stamps: dict[str, dict[str, None]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+            figure.savefig(temporary, dpi=200, metadata=stamps.get(path.suffix), format=path.suffix[1:])

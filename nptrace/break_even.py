@@ -1,0 +1,116 @@
+"""The break-even map: scenes, trees, leaf sizes and machines in; where prefetching pays, and where it costs, out.
+
+Each run (scene, tree, leaf size) is traced once and timed on every machine of the grid; its part is one Parquet file, written when it is
+complete, so an interrupted map goes on where it stopped.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from cachesim.clock.parameters import PRESETS, Clock
+from cachesim.clock.timing import time_run
+from cachesim.config import CacheConfig
+from nptrace_base.atomic import whole_file
+from nptrace_base.records import write_parquet
+from rtrace.render import Shooting, render_all
+from rtrace.scenes.scene import Scene
+from traces.identity import COLUMNS
+from traces.reader import Run, open_run
+
+#: Columns of the map: which run, which machine, and what came of it.
+COLUMNS_OF_RUN = ("run", "scene", "stand_in", "tree", "leaf", "width", "height", "order")
+FIGURES = (
+    "cycles", "cycles_without", "speed_up", "cycles_per_ray_without", "demand_reads", "requests", "filled", "bytes_from_memory",
+    "traffic_ratio", "accuracy", "demand_miss_rate", "spent_port",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What is varied. Caches are (bytes, ways); the other numbers are those of the machine ``paper``.
+
+    Attributes
+    ----------
+    leaves : tuple of int
+        Most triangles of a leaf; a cell with so many is not split further.
+    mshrs : int
+        Lines in flight, enough not to be what limits 64 rays.
+    """
+
+    trees: tuple[str, ...] = ("kdtree", "bvh", "bvh64")
+    leaves: tuple[int, ...] = (1, 2, 4, 8)
+    triangles: tuple[int, ...] = (1, 8, 37)
+    misses: tuple[int, ...] = (20, 100, 300)
+    rays: tuple[int, ...] = (1, 4, 16, 64)
+    caches: tuple[tuple[int, int], ...] = ((8192, 1), (8192, 2), (16384, 2))
+    prefetches: tuple[str, ...] = ("stack", "push")
+    mshrs: int = 64
+
+    def clocks(self) -> list[Clock]:
+        """Return every machine."""
+        paper = PRESETS["paper"].clock
+        return [
+            paper.with_numbers(triangle=triangle, miss=miss, rays=rays, mshrs=self.mshrs)
+            for triangle, miss, rays in product(self.triangles, self.misses, self.rays)
+        ]
+
+    def configs(self, line_bytes: int) -> list[CacheConfig]:
+        """Return every cache; a line holds a node at least."""
+        return [CacheConfig(size, ways, line_bytes) for size, ways in self.caches]
+
+
+QUICK = Grid(leaves=(1, 4), triangles=(8,), misses=(100,), rays=(1, 4), caches=((8192, 2),))
+
+
+def break_even(
+    scenes: Sequence[Scene], shooting: Shooting, grid: Grid, folder: Path, *, threads: int,
+    on_run: Callable[[str], Callable[[int], object]],
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return the rows of the map; runs and finished parts are kept in ``folder``.
+
+    Parameters
+    ----------
+    on_run : callable
+        Called with the name of a run before it is timed; returns a function to call with amounts of ``n_steps``.
+    """
+    rows: list[dict[str, Any]] = []
+    for scene, leaf in product(scenes, grid.leaves):
+        params = {tree: {"min_leaf": leaf, "max_leaf": leaf} for tree in grid.trees}
+        for summary in render_all([scene], params, shooting, folder, threads=threads):
+            run = open_run(str(summary.identity.path))
+            rows += _part(run, leaf, grid, folder, threads, on_run(run.name))
+    return rows
+
+
+def _part(
+    run: Run, leaf: int, grid: Grid, folder: Path, threads: int, advance: Callable[[int], object]
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return the rows of one run, from its file if there is one for this grid."""
+    import pyarrow.parquet as pq
+
+    asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid)], sort_keys=True)
+    path = folder / f"map-{hashlib.sha256(asked.encode()).hexdigest()[:16]}.parquet"
+    if path.exists():
+        return list(pq.read_table(path).to_pylist())
+    rows = list(_rows(run, leaf, grid, threads, advance))
+    with whole_file(path) as temporary:
+        write_parquet(rows, temporary, COLUMNS)
+    return rows
+
+
+def _rows(
+    run: Run, leaf: int, grid: Grid, threads: int, advance: Callable[[int], object]
+) -> Iterator[dict[str, Any]]:  # fmt: skip
+    line_bytes = max(32, run.footer.tree.node_bytes)
+    for config in grid.configs(line_bytes):
+        timings = time_run(run, [config], grid.clocks(), grid.prefetches, threads=threads)
+        advance(1)
+        for timing in timings:
+            figures = timing.to_dict() | {"leaf": leaf}
+            names = (*COLUMNS_OF_RUN, "size_bytes", "ways", "line_bytes", "prefetch", *PRESETS["paper"].clock.to_dict(), *FIGURES)
+            yield {name: figures[name] for name in names}

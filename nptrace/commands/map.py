@@ -1,0 +1,57 @@
+"""nptrace map: the break-even map, from scenes to one table of speed-ups."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from nptrace.groups import Command
+from nptrace.options import threads_option
+from nptrace.output import Output, output_option, results_options
+from nptrace.progress import Progress, done
+from nptrace.scene_options import load_scenes, scene_options
+
+
+@click.command("map", cls=Command)
+@click.argument("names", metavar="SCENE...", nargs=-1, required=True)
+@click.option("--pixels", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
+@click.option("--quick", is_flag=True, help="Two leaf sizes and two machines, in a minute.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default="traces/map", show_default=True,
+    help="Folder for the runs and the finished parts; the same command goes on where it stopped.",
+)  # fmt: skip
+@threads_option()
+@output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
+@scene_options
+@results_options()
+def map_(
+    names: tuple[str, ...], pixels: str, quick: bool, out: Path, threads: int, picture: Path | None, strict: bool, offline: bool,
+    output: Output,
+) -> None:  # fmt: skip
+    """Map where prefetching pays: leaf size x triangle test x miss latency x rays in flight x cache, for each tree.
+
+    The paper's unit (stack) and the request at the push (push), against no prefetching.
+
+    \b
+    nptrace map bunny --quick
+    nptrace map bunny conference sibenik sponza -o map.parquet --plot map.png
+    """
+    from cachesim.report import map_tables
+    from nptrace.break_even import QUICK, Grid, break_even
+    from rtrace.camera import parse_size
+    from rtrace.render import Shooting
+
+    grid, began = QUICK if quick else Grid(), time.perf_counter()
+    scenes = load_scenes(names, strict, offline)
+    with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
+
+        def on_run(name: str) -> Callable[[int], object]:
+            bar.job(name)
+            return bar.phase("time", len(grid.caches))
+
+        rows = break_even(scenes, Shooting(*parse_size(pixels)), grid, out, threads=threads, on_run=on_run)
+    if picture is not None:
+        map_tables.plot(rows, picture)
+    output.write(rows, lambda: map_tables.tables(rows))
+    done(f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}", began)
