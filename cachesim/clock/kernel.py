@@ -8,6 +8,9 @@ ready, then prefetches, of the slot that has waited longest. A demand read that 
 import numpy as np
 
 from cachesim.clock.calendar import NEVER, enter, lowest_bit, next_cycle, take_word
+from cachesim.clock.state import (
+    BY_LEAF, BY_LEVEL, BY_RAY, T_EVICTED, T_FILLED, T_JOINED, T_LATE, T_MISSES, T_READS, T_REDUNDANT, T_TIMELY,
+)  # fmt: skip
 from cachesim.clock.state import BOX, CYCLES, FREE, HIT, IDLE, LATE, LEAF, MISS, MSHR, PORT, TEST, TRIANGLE, UNIT, VISIT
 from cachesim.fast_lru import set_of
 from cachesim.policies import hooks
@@ -110,6 +113,8 @@ def _fill(machine, clock, parameters, now):
             left = status[victim] & (255 - RESIDENT)
             if left & UNUSED:
                 numbers.evicted += 1
+                if parameters.by:
+                    clock.tally[clock.class_of[victim], T_EVICTED] += 1
                 left = (left & (255 - UNUSED)) | LOST
             status[victim] = left | PUSHED_OUT if is_prefetched else left
 
@@ -247,6 +252,7 @@ def _start_ray(rows, unit, machine, clock, slot, now):
             return False
         numbers.next_ray += 1
     ray.number = number
+    ray.type = rows.types[number - rows.first_ray]
     ray.row, ray.end = rows.first[number - rows.first_ray], rows.first[number - rows.first_ray + 1]
     ray.last_kind = -1
     ray.event = VISIT
@@ -318,7 +324,7 @@ def _use_port(unit, machine, clock, parameters, now):
         line, n_lines = hooks.as_line(wanted), np.int64(1)
         if wanted >= 0:
             line, n_lines = np.int64(machine.tree.first_line[wanted]), np.int64(machine.tree.n_lines[wanted])
-        if not _prefetch(machine, clock, parameters, slot, line + machine.lines_asked[slot], now):
+        if not _prefetch(machine, clock, parameters, slot, wanted, line + machine.lines_asked[slot], now):
             port.blocked = slot
             return
         machine.last_issue[slot] = now
@@ -334,7 +340,7 @@ def _use_port(unit, machine, clock, parameters, now):
 def _read(unit, machine, clock, parameters, slot, line, now):
     """Look up a line of a demand read; return False if it needs an MSHR and none is free."""
     status, numbers, ray = machine.status, clock.numbers[0], clock.slots[slot]
-    state = status[line]
+    state, of_read = status[line], T_READS
     hit_at = now + parameters.hit
     ready, cause, outcome = hit_at, HIT, FOUND
     if parameters.is_perfect:
@@ -352,12 +358,14 @@ def _read(unit, machine, clock, parameters, slot, line, now):
             if ready > hit_at:
                 numbers.late += 1
                 cause = LATE
+                _tally(clock, parameters, line, T_LATE)
             else:
                 numbers.timely += 1
                 numbers.hits += 1
+                _tally(clock, parameters, line, T_TIMELY)
         elif ready > hit_at:
             numbers.joined_by_demand += 1
-            cause = MISS
+            cause, of_read = MISS, T_MISSES
         else:
             numbers.hits += 1
     else:
@@ -365,7 +373,13 @@ def _read(unit, machine, clock, parameters, slot, line, now):
             return False
         numbers.pollution += np.int64(state & PUSHED_OUT != 0)
         numbers.misses += 1
+        of_read = T_MISSES
         ready, cause, outcome = _ask_memory(machine, clock, parameters, line, now), MISS, NOT_FOUND
+    if parameters.by:
+        of = _class_of(machine, clock, parameters, slot, ray.last_node, False)
+        clock.tally[of, T_READS] += 1
+        if of_read == T_MISSES:
+            clock.tally[of, T_MISSES] += 1
     if ready > ray.data_at:
         ray.data_at, ray.data_from = ready, cause
     hooks.on_visit(unit, machine, slot, line, outcome)
@@ -373,24 +387,61 @@ def _read(unit, machine, clock, parameters, slot, line, now):
 
 
 @inlined
-def _prefetch(machine, clock, parameters, slot, line, now):
+def _prefetch(machine, clock, parameters, slot, wanted, line, now):
     """Look up a line for a prefetch; return False if it needs an MSHR and none is free."""
-    state, numbers = machine.status[line], clock.numbers[0]
+    state, numbers, found = machine.status[line], clock.numbers[0], T_FILLED
     if parameters.is_perfect:
         numbers.redundant += 1
+        found = T_REDUNDANT
     elif state & RESIDENT:
         refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)
         numbers.redundant += 1
+        found = T_REDUNDANT
     elif state & IN_FLIGHT:
         numbers.joined += 1
+        found = T_JOINED
     else:
         if numbers.in_flight == parameters.mshrs:
             return False
         numbers.filled += 1
         _ask_memory(machine, clock, parameters, line, now)
         machine.status[line] |= UNUSED
+    if parameters.by:
+        of = _class_of(machine, clock, parameters, slot, wanted, True)
+        clock.tally[of, found] += 1
+        if found == T_FILLED:
+            clock.class_of[line] = of
     _note(clock, now, np.int64(1), slot, LOG_PREFETCH, line, np.int64(-1))
     return True
+
+
+@inlined
+def _tally(clock, parameters, line, what):
+    """Count what became of a line, by the prefetch that filled it."""
+    if parameters.by:
+        clock.tally[clock.class_of[line], what] += 1
+
+
+@kernel(_nrt=False)
+def _class_of(machine, clock, parameters, slot, node, is_prefetch):
+    """Return the class of a read, or of a request, of a node; ``node`` is negative for a request of a line.
+
+    A request by a unit that all rays share is of the class of slot 0's ray; reads have no place on the stack and no leaf: class 0.
+    """
+    own = min(slot, machine.sp.size - 1)
+    if parameters.by == BY_LEVEL:
+        return np.int64(machine.tree.level[node]) if node >= 0 else np.int64(0)
+    if parameters.by == BY_RAY:
+        return clock.slots[own].type
+    if not is_prefetch:
+        return np.int64(0)
+    if parameters.by == BY_LEAF:
+        is_testing = clock.slots[own].last_kind == KIND_LEAF and clock.slots[own].event == VISIT
+        return np.int64(machine.tree.n_prims[clock.slots[own].last_node]) if is_testing else np.int64(0)
+    for place in range(machine.sp[own]):
+        if machine.stack[own, machine.sp[own] - 1 - place] == node:
+            return np.int64(place)
+    return np.int64(machine.stack.shape[1])
 
 
 @inlined

@@ -13,6 +13,12 @@ from cachesim.replacement import Lists, make_lists
 BOX, TRIANGLE, HIT, MISS, LATE, PORT, MSHR, UNIT, IDLE = range(9)
 CYCLES = ("box test", "triangle test", "hit", "demand miss", "late prefetch", "port", "MSHR full", "unit busy", "idle")
 
+#: What a tally is kept by, and its columns: lines looked up by reads, those that missed, and requests with what became of them.
+BY = ("nothing", "level", "ray", "slot", "leaf")
+BY_NOTHING, BY_LEVEL, BY_RAY, BY_SLOT, BY_LEAF = range(len(BY))
+TALLY = ("reads", "misses", "late", "timely", "redundant", "joined", "filled", "evicted")
+T_READS, T_MISSES, T_LATE, T_TIMELY, T_REDUNDANT, T_JOINED, T_FILLED, T_EVICTED = range(len(TALLY))
+
 #: What the next event of a slot is.
 VISIT, LEAF, TEST, FREE = range(4)
 
@@ -23,7 +29,7 @@ VISIT, LEAF, TEST, FREE = range(4)
 SLOT = np.dtype([
     (name, np.int64)
     for name in (
-        "event", "due", "row", "end", "number", "started", "waiter", "last_kind", "last_node", "since", "seen", "lines_done",
+        "event", "due", "row", "end", "number", "type", "started", "waiter", "last_kind", "last_node", "since", "seen", "lines_done",
         "data_at", "data_from",
     )
 ])  # fmt: skip
@@ -56,6 +62,7 @@ class Parameters(NamedTuple):
     skips: bool  # entries may leave the stack unread
     follows: bool  # after a read that pushed nothing, a child may be read next
     watches_leaves: bool  # the policy has a hook at leaves
+    by: int  # what the tally is kept by
     mask: int  # of fast_lru.set_of
 
 
@@ -71,6 +78,8 @@ class ClockState(NamedTuple):
     queue: np.ndarray  # (n_slots,) int64: slots that wait for the port with a demand read, a ring
     units_free: np.ndarray  # (n_units,) int64: cycle in which each intersection unit takes the next leaf
     cycles: np.ndarray  # (9,) int64
+    tally: np.ndarray  # (n_classes, len(TALLY)) int64
+    class_of: np.ndarray  # (n_lines,) uint16: class of the prefetch that filled each line; empty without a tally
     log: np.ndarray  # (n, 6) int64: events of the timeline; none are kept if it is empty
     log_from: int  # the ray whose start begins the timeline
 
@@ -84,13 +93,16 @@ class Rows(NamedTuple):
     nodes: np.ndarray  # (n,) uint32
     kinds: np.ndarray  # (n,) uint8
     first: np.ndarray  # (n_rays + 1,) int64: row of each ray's first visit
+    types: np.ndarray  # (n_rays,) uint8: primary or shadow
     waits_for: np.ndarray  # (n_rays,) int64
     first_row: int
     first_ray: int
     is_last: bool
 
 
-def make_state(config: CacheConfig, machine: Machine, parameters: Parameters, n_logged: int = 0, log_from: int = 0) -> ClockState:
+def make_state(
+    config: CacheConfig, machine: Machine, parameters: Parameters, n_logged: int = 0, log_from: int = 0
+) -> ClockState:
     """Return the state before the first cycle; the timeline keeps ``n_logged`` events from the start of a ray on."""
     n_slots, n_lines = machine.sp.size, machine.status.size
     return ClockState(
@@ -103,6 +115,14 @@ def make_state(config: CacheConfig, machine: Machine, parameters: Parameters, n_
         queue=np.zeros(n_slots, np.int64),
         units_free=np.zeros(parameters.n_units, np.int64),
         cycles=np.zeros(len(CYCLES), np.int64),
+        tally=np.zeros((n_classes(machine, parameters.by), len(TALLY)), np.int64),
+        class_of=np.zeros(n_lines if parameters.by else 0, np.uint16),
         log=np.zeros((n_logged, 6), np.int64),
         log_from=log_from,
     )
+
+
+def n_classes(machine: Machine, by: int) -> int:
+    """Return the classes of a tally: levels; primary and shadow rays; places of the stack from the top, then all else; leaf sizes."""
+    tree = machine.tree
+    return (0, int(tree.level.max()) + 1, 2, machine.stack.shape[1] + 1, int(tree.n_prims.max()) + 1)[by]

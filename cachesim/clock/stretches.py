@@ -25,9 +25,10 @@ class Stretches:
         rays = source.run.columns("rays", ["x", "y", "type", "count"])
         self._numbers = np.flatnonzero(rays["count"])  # the rays that take time
         self.n_rays = self._numbers.size
+        self._types = rays["type"][self._numbers]
         self._waits_for = shadows_wait(
             rays["x"][self._numbers].astype(np.int64) + (rays["y"][self._numbers].astype(np.int64) << 16),
-            rays["type"][self._numbers] == PRIMARY,
+            self._types == PRIMARY,
         )
 
     def __iter__(self) -> Iterator[Rows]:
@@ -61,7 +62,8 @@ class Stretches:
         self, nodes: np.ndarray, kinds: np.ndarray, first: np.ndarray, n_rays: int, first_row: int, first_ray: int, *, is_last: bool
     ) -> Rows:  # fmt: skip
         waits_for = self._waits_for[first_ray : first_ray + n_rays]
-        return Rows(nodes, kinds, first[: n_rays + 1], waits_for, first_row, first_ray, is_last)
+        types = self._types[first_ray : first_ray + n_rays]
+        return Rows(nodes, kinds, first[: n_rays + 1], types, waits_for, first_row, first_ray, is_last)
 
 
 @kernel

@@ -10,7 +10,7 @@ import numpy as np
 
 from cachesim.clock import kernel as clock_kernel
 from cachesim.clock.parameters import Clock
-from cachesim.clock.state import CYCLES, ClockState, Parameters, Rows, make_state
+from cachesim.clock.state import BY, CYCLES, TALLY, ClockState, Parameters, Rows, make_state
 from cachesim.clock.stretches import Stretches
 from cachesim.config import CacheConfig
 from cachesim.fast_lru import set_mask
@@ -52,6 +52,8 @@ class Timing:
         Lines that a prefetch filled and that are in the cache, or on their way, unused at the end.
     lines_without : int
         Lines from memory without prefetches.
+    tally : list of dict
+        Reads and requests by class (``clock.state.TALLY``); empty unless it was asked for.
     """
 
     identity: RunIdentity
@@ -68,6 +70,7 @@ class Timing:
     candidates: dict[str, int]
     unused: int
     lines_without: int
+    tally: list[dict[str, int]]
 
     @property
     def speed_up(self) -> float | None:
@@ -159,6 +162,7 @@ def time_run(
     prefetches: Sequence[Prefetch | str] = ("stack",),
     *,
     layout: Layout | str = "stored",
+    by: str = BY[0],
     threads: int | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> list[Timing]:
@@ -170,6 +174,8 @@ def time_run(
     ----------
     run : Source, Run or path
         ``layout`` is that of a Run or path.
+    by : str
+        What the tally is kept by (``clock.state.BY``): tree level, ray type, place on the stack from the top, or leaf size.
     threads : int, optional
         Combinations at a time; as many as there are cores when None. The results do not depend on it.
     progress : callable, optional
@@ -191,7 +197,7 @@ def time_run(
     _check(configs, clocks, stretches.n_rays)
     none = parse_prefetch("none")
     wanted = [(config, clock, prefetch) for config, clock in product(configs, clocks) for prefetch in (none, *policies)]
-    workshop = Workshop(source, threads or os.cpu_count() or 1, progress)
+    workshop = Workshop(source, threads or os.cpu_count() or 1, progress, by)
     scouting = [workshop.job(*each, is_scout=True) for each in wanted]
     scouts = [job for job in scouting if job is not None]
     if scouts:
@@ -220,8 +226,10 @@ def _check(configs: Sequence[CacheConfig], clocks: Sequence[Clock], n_rays: int)
 class Workshop:
     """Makes jobs for one source, and runs them together."""
 
-    def __init__(self, source: RunSource, threads: int, progress: Callable[[int], object] | None = None) -> None:
-        self._source, self._threads, self._progress = source, threads, progress
+    def __init__(
+        self, source: RunSource, threads: int, progress: Callable[[int], object] | None = None, by: str = BY[0]
+    ) -> None:  # fmt: skip
+        self._source, self._threads, self._progress, self._by = source, threads, progress, BY.index(by)
         self._trees: dict[int, tuple[Tree, int]] = {}
         self._boxes = source.run.footer.tree.node_format.boxes
 
@@ -244,7 +252,7 @@ class Workshop:
             clock.hit, clock.miss, clock.mshrs, clock.ports, -(-config.line_bytes // clock.bandwidth) if clock.bandwidth else 0,
             clock.box, clock.triangle, clock.every, clock.units, policy.is_perfect,
             skips=self._boxes in (NO_BOX, CHILD_BOXES), follows=self._boxes in (NO_BOX, CHILD_BOXES),
-            watches_leaves=policy.watches_leaves, mask=set_mask(config.n_sets),
+            watches_leaves=policy.watches_leaves, by=self._by, mask=set_mask(config.n_sets),
         )  # fmt: skip
         return _Job(prefetch, parameters, machine, make_state(config, machine, parameters, *log), unit)
 
@@ -298,4 +306,5 @@ def _timing(source: RunSource, config: CacheConfig, clock: Clock, job: _Job, wit
         candidates={name: int(port[name]) for name in port.dtype.names[2:]},
         unused=int(np.count_nonzero(job.machine.status & UNUSED)),
         lines_without=int(other.misses),
+        tally=[dict(zip(TALLY, row, strict=True)) for row in job.clock.tally.tolist()],
     )  # fmt: skip

@@ -48,6 +48,7 @@ class Case:
         starts = [i for i, row in enumerate(rows) if i == 0 or row[0] != rows[i - 1][0]]
         self.first = [*starts, len(rows)]
         self.waits_for = [-1] * len(starts)
+        self.types = rng.integers(0, 2, len(starts)).astype(np.uint8)
         for ray in range(1, len(starts)):
             choice = rng.integers(4)
             if choice == 0 and self.waits_for[ray - 1] != -2:
@@ -70,10 +71,10 @@ class Case:
 
     def rows(self, start=0, n=None):
         n = len(self.rays) if n is None else n
-        return Rows(self.nodes, self.kinds, np.array(self.first), np.array(self.waits_for[:n]), 0, 0, n == len(self.rays))
+        return Rows(self.nodes, self.kinds, np.array(self.first), self.types[:n], np.array(self.waits_for[:n]), 0, 0, n == len(self.rays))
 
 
-def both(case, numbers, config, n_slots, fast_policy, slow_policy, *, is_perfect=False, steps=(), watches_leaves=True):
+def both(case, numbers, config, n_slots, fast_policy, slow_policy, *, is_perfect=False, steps=(), watches_leaves=True, by=0):
     """Return the accounts of the clock and of the model."""
     numbers = dict(numbers)
     numbers["miss"] = numbers["hit"] + numbers.pop("extra")
