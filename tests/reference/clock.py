@@ -90,7 +90,7 @@ class SlowClock:
         self.queue, self.waiting, self.blocked = [], [], None
         self.last_issue, self.partly = Counter(), Counter()
         self.cycles, self.lines, self.candidates = Counter(), Counter(), Counter()
-        self.now, self.last_cycle = 0, 0
+        self.now, self.last_cycle, self.n_ended = 0, 0, 0
         self.policy = policy
         policy.clock = self
 
@@ -101,13 +101,14 @@ class SlowClock:
             for slot in self.slots:
                 while slot.until <= self.now and self._act(slot):
                     pass
-            if all(slot.state == "idle" and slot.until <= self.now for slot in self.slots):
+            if self.n_ended == len(self.rays):
                 break
             self._port()
+            self.policy.clock_ticks()
             for slot in self.slots:
                 self.cycles["idle" if slot.state in ("waits", "starts") else slot.state] += 1
             self.now += 1
-        self.cycles["idle"] -= (self.now - self.last_cycle) * len(self.slots)  # a last look for a ray
+        self.policy.finish()
         return self
 
     def _arrivals(self):
@@ -164,6 +165,7 @@ class SlowClock:
             return self._enter(slot)
         self.policy.end(slot)
         self.last_cycle = self.now
+        self.n_ended += 1
         slot.state = "idle"
         for other in self.slots:
             if other.state == "waits" and self.waits_for[other.ray] == slot.ray:
@@ -335,6 +337,12 @@ class NoPolicy:
         """A ray starts."""
 
     push = pop = leaf = leaf_end = end = start
+
+    def finish(self):
+        """All rays have ended."""
+
+    def clock_ticks(self):
+        """A cycle is over."""
 
     def visit(self, slot, line, outcome):
         """A line of a demand read has been looked up."""
