@@ -17,6 +17,9 @@ ROOT = Path(__file__).resolve().parent.parent
 #: A statement that imports. Parsing whole files took ten times as long, and every command waits for it.
 _IMPORT = re.compile(r"^[ \t]*(?:from|import)[ \t](?:[^\n\\(]|\\\n|\([^)]*\))*", re.MULTILINE)
 
+#: How a package imports each file of its folder, so that adding one is adding a file.
+_LISTING = re.compile(r"Path\(__file__\)\.parent\.glob\(")
+
 
 def digest_of(paths: Iterable[Path]) -> str:
     """Return the sha256, in hexadecimal, of the given source files and of all they import."""
@@ -40,8 +43,9 @@ def closure(paths: Iterable[Path]) -> set[Path]:
 
 @cache
 def _imported(path: Path) -> tuple[Path, ...]:
-    """Return our files that a file imports anywhere in it, also inside functions."""
-    return tuple(file for name in _names(path) for file in _files(name))
+    """Return our files that a file imports anywhere in it, also inside functions, or finds by listing its own folder."""
+    listed = sorted(path.parent.glob("*.py")) if _LISTING.search(path.read_text(encoding="utf-8")) else []
+    return tuple(file for name in _names(path) for file in _files(name)) + tuple(listed)
 
 
 def _names(path: Path) -> Iterator[str]:

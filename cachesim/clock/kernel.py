@@ -64,7 +64,10 @@ def run(rows, unit, machine, clock, parameters):
                         enter(clock.calendar, slot, now, slots[slot].due)
                     else:
                         _advance(rows, unit, machine, clock, parameters, slot, now)
+        if rows.is_last and numbers.n_ended == n_rays:
+            break
         _use_port(unit, machine, clock, parameters, now)
+    hooks.on_finish(unit, machine)
     for slot in range(n_slots):
         clock.cycles[IDLE] += numbers.last_cycle - slots[slot].since
         slots[slot].since = numbers.last_cycle
@@ -278,6 +281,7 @@ def _end_ray(unit, machine, clock, slot, now):
     ray.event = FREE
     ray.since = now
     clock.numbers[0].last_cycle = now
+    clock.numbers[0].n_ended += 1
     waiter = ray.waiter
     if waiter >= 0:
         ray.waiter = -1

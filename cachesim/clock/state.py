@@ -39,7 +39,7 @@ SLOT = np.dtype([
 NUMBERS = np.dtype([
     (name, np.int64)
     for name in (
-        "is_started", "next_ray", "n_queued", "queue_head", "in_flight", "oldest", "bus_free", "last_cycle", "n_logged",
+        "is_started", "next_ray", "n_queued", "queue_head", "in_flight", "oldest", "bus_free", "n_ended", "last_cycle", "n_logged",
         "hits", "misses", "joined_by_demand", "redundant", "joined", "filled", "timely", "late", "saved", "waited", "evicted",
         "wanted_again", "pollution",
     )

@@ -16,12 +16,12 @@ from cachesim.config import CacheConfig
 from cachesim.fast_lru import set_mask
 from cachesim.layout import Layout
 from cachesim.policies import Facts, Policy
+from cachesim.policies.hooks import compiled_for
 from cachesim.policies.machine import UNUSED, Machine, Tree, make_machine
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.result import ratio
 from cachesim.source import RunSource, Source, as_source
 from nptrace_base.errors import NptraceError
-from nptrace_base.jit import IS_PLAIN, kernel
 from nptrace_base.pools import thread_pool
 from traces.identity import RunIdentity
 from traces.node_formats import CHILD_BOXES, NO_BOX
@@ -121,7 +121,7 @@ class _Job:
     def __init__(self, prefetch: Prefetch, parameters: Parameters, machine: Machine, clock: ClockState, unit: Any) -> None:
         self.prefetch, self.machine, self.clock, self.unit = prefetch, machine, clock, unit
         self._parameters = parameters
-        self.run = clock_kernel.run if IS_PLAIN or type(unit).__module__.startswith("cachesim.") else _run_unkept()
+        self.run = compiled_for(unit, clock_kernel.run)
 
     def step(self, rows: Rows) -> None:
         """Go on as far as these rows allow."""
@@ -134,11 +134,6 @@ class _Job:
         number, event = slots["number"], slots["event"]
         begun = number[number >= 0] + (event[number >= 0] == clock_kernel.FREE)
         return int(min(begun.min(initial=1 << 62), self.clock.numbers[0].next_ray))
-
-
-def _run_unkept() -> Any:
-    """Return the kernel for a policy of another package: what is compiled with it is not stored, for its source may change."""
-    return kernel(is_kept=False, _nrt=False)(clock_kernel.run.py_func)
 
 
 def tree_of(source: RunSource, line_bytes: int) -> tuple[Tree, int]:

@@ -47,14 +47,14 @@ class Watched(NamedTuple):
             self.used[self.requested_for[line]] = 1
 
     def request(self, machine, slot):
-        return hooks.request(self.unit, machine, slot)
+        node = hooks.request(self.unit, machine, slot)
+        if node >= 0:
+            line = np.int64(machine.tree.first_line[node]) + machine.lines_asked[slot]
+            self.requested_for[line] = machine.pushed_at[slot, self.unit.pointer[slot] - 1]
+        return node
 
     def requested(self, machine, slot):
         hooks.requested(self.unit, machine, slot)
-        entry = self.unit.pointer[slot]
-        node, row = machine.stack[slot, entry], machine.pushed_at[slot, entry]
-        for piece in range(machine.tree.n_lines[node]):
-            self.requested_for[np.int64(machine.tree.first_line[node]) + piece] = row
 
 
 def scout(machine: Machine, facts: Facts, **options: Any) -> Watched:

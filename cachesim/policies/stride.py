@@ -1,7 +1,8 @@
 """A stride prefetcher, trained for every ray and across rays (after Lee et al., MICRO 2010: many-thread-aware prefetching).
 
-A slot whose last two strides between the lines of its reads are equal requests the next line at that stride. A stride that two slots
-agree on is also requested by a slot that has seen it once.
+A slot whose last two strides between the lines of its reads are equal requests the next line at that stride: the stride
+is confirmed. The stride confirmed last, by any slot, is also requested by a slot that has seen it once. A read of the
+same line again is no stride.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,8 @@
 """The treelet vote (Chou, Nowicki and Aamodt, MICRO 2023): the treelet that most rays in flight are in is requested whole.
 
-Treelets are connected: filled breadth-first from their root until their bytes are used up. A vote is held at the first read that
-is ``every`` cycles after the last; the nodes of the winner are requested in their order, unless it won the last vote too, or its share
-of the rays is below ``share`` per cent.
+Treelets are connected: filled breadth-first from their root until their bytes are used up. A vote is held at the first
+read that is ``every`` cycles after the last; of treelets with as many rays, the one grown first wins. The winner's nodes are
+requested by number, unless they are what was requested last, or its share of the rays is below ``share`` per cent.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 from cachesim.policies import Facts, Policy, whole
 from cachesim.policies.hooks import NOTHING
 from cachesim.policies.machine import Machine, drop, offer, stop_waiting
-from nptrace_base.jit import kernel
+from nptrace_base.jit import inlined, kernel
 
 FORM = "treelet[:bytes=B][:every=N][:share=P]"
 HELP = "the treelet of most rays in flight (2023), of B = 512 bytes, every N = 200 cycles, with P = 0 % of the rays at least"
@@ -70,16 +70,17 @@ class Treelet(NamedTuple):
                     winner = there
         if winner == self.vote[1] or 100 * self.votes[winner] < self.share * n_rays:
             return
-        shared = np.int64(self.current.size)
-        drop(machine, shared, self.vote[3] - self.vote[2])
-        stop_waiting(machine, shared)
+        drop_rest(self, machine)
         self.vote[1], self.vote[2], self.vote[3] = winner, self.first[winner], self.first[winner + 1]
-        offer(machine, shared, self.vote[3] - self.vote[2])
+        offer(machine, np.int64(self.current.size), self.vote[3] - self.vote[2])
 
     def on_end(self, machine, slot):
         if self.current[slot] >= 0:
             self.votes[self.current[slot]] -= 1
             self.current[slot] = -1
+
+    def on_finish(self, machine):
+        drop_rest(self, machine)
 
     def request(self, machine, slot):
         return self.nodes[self.vote[2]] if self.vote[2] < self.vote[3] else np.int64(NOTHING)
@@ -88,9 +89,21 @@ class Treelet(NamedTuple):
         self.vote[2] += 1
 
 
+@inlined
+def drop_rest(unit, machine):
+    """Drop the nodes of the last winner that still wait; they wait in the place that all rays share."""
+    shared = np.int64(unit.current.size)
+    drop(machine, shared, unit.vote[3] - unit.vote[2])
+    stop_waiting(machine, shared)
+    unit.vote[2] = unit.vote[3]
+
+
 @kernel
 def grow_treelets(parent, n_lines, capacity):
-    """Return (treelet of every node, how many there are): each is filled breadth-first with ``capacity`` nodes that are read."""
+    """Return (treelet of every node, how many there are): each is filled breadth-first with ``capacity`` nodes that are read.
+
+    Of the roots that are left over, the one found last is grown next.
+    """
     n_nodes = parent.size
     child = np.zeros(n_nodes, np.int64)
     for node in range(1, n_nodes):
@@ -135,14 +148,14 @@ def make_unit(machine: Machine, facts: Facts, *, block_bytes: int, every: int, s
     treelet, n_treelets = grow_treelets(tree.parent, tree.n_lines, max(block_bytes // facts.node_bytes, 1))
     read = np.flatnonzero(tree.n_lines)
     nodes = read[np.argsort(treelet[read], kind="stable")]
-    of_line = np.zeros(machine.status.size, np.int64)
-    for piece in range(int(tree.n_lines.max()), -1, -1):  # a line belongs to the lowest node that it holds
-        touching = read[tree.n_lines[read] > piece][::-1]
-        of_line[tree.first_line[touching] + piece] = treelet[touching]
+    lowest = np.full(machine.status.size, tree.n_lines.size - 1)
+    for piece in range(int(tree.n_lines.max())):
+        touching = read[tree.n_lines[read] > piece]
+        np.minimum.at(lowest, tree.first_line[touching].astype(np.int64) + piece, touching)
     return Treelet(
         treelet=treelet,
         first=np.concatenate([[0], np.cumsum(np.bincount(treelet[read], minlength=n_treelets))]).astype(np.int64),
-        nodes=nodes.astype(np.int64), of_line=of_line, votes=np.zeros(n_treelets, np.int64),
+        nodes=nodes.astype(np.int64), of_line=treelet[lowest], votes=np.zeros(n_treelets, np.int64),
         current=np.full(n_slots, -1, np.int64), vote=np.array([0, -1, 0, 0], np.int64), every=every, share=share,
     )  # fmt: skip
 

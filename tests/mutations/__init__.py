@@ -5,7 +5,6 @@ first failure. A mutation that no test notices has survived; the exit status is 
 docs/correctness.md. With words, only mutations that have one of them are tried, and only their lines of FILE change.
 """
 
-import ast
 import csv
 import importlib
 import os
@@ -28,9 +27,9 @@ MUTATIONS = [mutation for name in _LISTS for mutation in importlib.import_module
 class Workshop:
     """A copy of the project in which one thing at a time is broken.
 
-    Compiling takes most of the time, so a broken copy starts with the kernels of the whole one, except those of the changed
-    file and of all that import it, into which its own may be pasted: Numba compares only the file that holds a kernel. Trees
-    are kept from one test to the next, but not from one copy to the next.
+    Compiling takes most of the time, so a broken copy starts with the kernels of the whole one. Those of the changed file and
+    of all that depend on it are compiled again: a kernel is stored with a digest of its sources. Trees are kept from one test
+    to the next, but not from one copy to the next.
     """
 
     def __init__(self, root: Path, source: Path = ROOT) -> None:
@@ -80,44 +79,7 @@ class Workshop:
         self._compile_whole(mutation.tests)
         self._restore()
         apply(mutation, self._project)
-        for source in {self._project / mutation.file} | users_of(mutation.file, self._project):
-            forget_kernels(source, self._kernels)
         return self._test(mutation.tests)
-
-
-def users_of(file: str, folder: Path) -> set[Path]:
-    """Return the sources that import a source, directly or through others."""
-    sources = [
-        path
-        for part in ("cli.py", "nptrace*/**/*.py", "rtrace/**/*.py", "cachesim/**/*.py", "traces/*.py")
-        for path in folder.glob(part)
-    ]
-    imported = {path: imports(path) for path in sources}
-    found: set[Path] = set()
-    todo = [folder / file]
-    while todo:
-        name = ".".join(todo.pop().relative_to(folder).with_suffix("").parts)
-        new = {path for path in sources if name in imported[path]} - found
-        found |= new
-        todo += new
-    return found
-
-
-def imports(path: Path) -> set[str]:
-    """Return the modules that a source imports, at its top or inside a function."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return names
-
-
-def forget_kernels(source: Path, kernels: Path) -> None:
-    """Delete what Numba keeps of one source: ``<folder>_<hash>/<module>.<function>-<line>...``."""
-    for file in kernels.glob(f"*/{source.parent.name}_*/{source.stem}.*"):
-        file.unlink()
 
 
 def apply(mutation: Mutation, folder: Path) -> None:

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from tests.mutations import MUTATIONS, ROOT, Workshop, users_of
+from tests.mutations import MUTATIONS, ROOT, Workshop
 from tests.mutations.mutation import Mutation
 
 INNER = """from nptrace_base.jit import inlined
@@ -57,20 +57,6 @@ def test_a_kernel_pasted_into_another_file_is_compiled_again(project, tmp_path):
     harmless = Mutation("harmless", "rtrace/inner.py", "STEP * x", "x * STEP", tests)
     assert workshop.who_notices(broken) == "test_total.py::test_total"
     assert workshop.who_notices(harmless) == ""
-
-
-def test_users_are_found_through_others_and_inside_functions():
-    users = {path.relative_to(ROOT).as_posix() for path in users_of("rtrace/intersect.py", ROOT)}
-    assert {
-        "rtrace/traverse.py",
-        "rtrace/chunk.py",
-        "rtrace/render.py",
-        "rtrace/checks/embree.py",
-        "nptrace/commands/check.py",
-    } <= users
-    assert not any(name.startswith("cachesim/") for name in users)
-    every = {path.relative_to(ROOT).as_posix() for path in users_of("nptrace_base/jit.py", ROOT)}
-    assert {"rtrace/trees/kdtree.py", "cachesim/cache.py", "traces/din.py"} <= every
 
 
 def test_every_mutation_has_its_place_and_its_name():

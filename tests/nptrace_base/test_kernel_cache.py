@@ -170,6 +170,14 @@ def test_trees_and_kernels_change_with_what_they_stand_on_and_with_nothing_else(
         assert digests(file, new="# more\n")[1] != trees
 
 
+def test_a_policy_is_found_by_a_listing_and_counts_as_imported(digests):
+    """Its hooks are pasted into the kernels of the clock and of the replay, which import no policy by name."""
+    kernels, trees, replayed, lists = digests()
+    changed = digests("cachesim/policies/push.py", new="# more\n")
+    assert changed[0] != kernels and changed[2] != replayed
+    assert (changed[1], changed[3]) == (trees, lists)
+
+
 @pytest.mark.parametrize("name", ["numba", "llvmlite", "np"])
 def test_another_version_is_another_folder(name, monkeypatch):
     before = jit.kernel_digest()

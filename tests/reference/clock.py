@@ -90,7 +90,8 @@ class SlowClock:
         self.queue, self.waiting, self.blocked = [], [], None
         self.last_issue, self.partly = Counter(), Counter()
         self.cycles, self.lines, self.candidates = Counter(), Counter(), Counter()
-        self.now, self.last_cycle = 0, 0
+        self.now, self.last_cycle, self.n_ended = 0, 0, 0
+        self.events = []  # (what, line, facts): every look-up, and what became of the lines that prefetches filled
         self.policy = policy
         policy.clock = self
 
@@ -101,13 +102,14 @@ class SlowClock:
             for slot in self.slots:
                 while slot.until <= self.now and self._act(slot):
                     pass
-            if all(slot.state == "idle" and slot.until <= self.now for slot in self.slots):
+            if self.n_ended == len(self.rays):
                 break
             self._port()
+            self.policy.clock_ticks()
             for slot in self.slots:
                 self.cycles["idle" if slot.state in ("waits", "starts") else slot.state] += 1
             self.now += 1
-        self.cycles["idle"] -= (self.now - self.last_cycle) * len(self.slots)  # a last look for a ray
+        self.policy.finish()
         return self
 
     def _arrivals(self):
@@ -120,6 +122,7 @@ class SlowClock:
                     self.unused.remove(victim)
                     self.lost.add(victim)
                     self.lines["evicted"] += 1
+                    self.events.append(("evicted", victim, None))
                 if line in self.unused:
                     self.pushed_out.add(victim)
             held.insert(0, line)
@@ -164,6 +167,7 @@ class SlowClock:
             return self._enter(slot)
         self.policy.end(slot)
         self.last_cycle = self.now
+        self.n_ended += 1
         slot.state = "idle"
         for other in self.slots:
             if other.state == "waits" and self.waits_for[other.ray] == slot.ray:
@@ -222,6 +226,8 @@ class SlowClock:
         if found is None:
             return False
         ready, cause, outcome = found
+        facts = {"ray": slot.ray, "node": slot.visit.node, "place": 0, "n_prims": 0}
+        self.events.append(("missed" if cause == "demand miss" else "read", line, facts))
         if ready > slot.data_at:
             slot.data_at, slot.data_from = ready, cause
         self.policy.visit(slot, line, outcome)
@@ -250,6 +256,7 @@ class SlowClock:
                 self.lines["saved"] += miss - ready
                 self.lines["waited"] += ready - hit
                 self.lines["late" if ready > hit else "timely"] += 1
+                self.events.append(("late" if ready > hit else "timely", line, None))
             outcome = FIRST_USE if is_first else HIT
             if ready == hit:
                 self.lines["hits"] += 1
@@ -281,9 +288,12 @@ class SlowClock:
                 self.stop_waiting(slot)
                 continue
             line = lines[self.partly[slot]]
+            before = dict(self.lines)
             if not self._look_up_for_prefetch(line):
                 self.blocked = slot
                 return False
+            found = next(name for name in ("redundant", "joined", "filled") if self.lines[name] > before.get(name, 0))
+            self.events.append((found, line, self.policy.facts(slot)))
             self.last_issue[slot] = self.now
             self.partly[slot] += 1
             if self.partly[slot] == len(lines):
@@ -336,6 +346,12 @@ class NoPolicy:
 
     push = pop = leaf = leaf_end = end = start
 
+    def finish(self):
+        """All rays have ended."""
+
+    def clock_ticks(self):
+        """A cycle is over."""
+
     def visit(self, slot, line, outcome):
         """A line of a demand read has been looked up."""
 
@@ -344,6 +360,9 @@ class NoPolicy:
 
     def requested(self, slot):
         """It has been issued."""
+
+    def facts(self, slot):
+        """Return the facts of the next request, for the events."""
 
 
 class SlowStack(NoPolicy):
@@ -389,6 +408,13 @@ class SlowStack(NoPolicy):
     def request(self, number):
         places = self.candidates(number)
         return self.lines[self.clock.slots[number].stack[places[0]].node] if places else None
+
+    def facts(self, number):
+        slot, place = self.clock.slots[number], self.candidates(number)[0]
+        return {
+            "ray": slot.ray, "node": slot.stack[place].node, "place": len(slot.stack) - 1 - place,
+            "n_prims": slot.visit.n_prims,
+        }  # fmt: skip
 
     def requested(self, number):
         place = self.candidates(number)[0]
