@@ -1,9 +1,9 @@
 """Triangles -> kd-tree: the exact surface area heuristic in O(N log N), every triangle clipped to its cell ("perfect splits").
 
-A cell holds, for each axis, the sorted *events* of its triangles: where each one starts, ends, or lies flat. One sweep
-over them finds the cheapest plane. The events of triangles on one side of it are already sorted; only those of triangles
-cut by it are made anew, sorted and merged in. Cells wait on a stack in one arena, the lower child on top, so nodes are
-numbered depth-first and nothing is ever sorted again.
+A cell has, for each axis, the sorted *events* of its triangles: where each one starts, ends, or lies flat. One sweep over
+them finds the cheapest plane (``kd_sweep``). The events of triangles on one side of it are already sorted; only those of
+triangles that it cuts are computed again, sorted and merged in (``kd_events``). Cells wait on a stack in one arena, the lower
+child on top, so nodes are numbered depth-first.
 
 Notes
 -----
@@ -54,7 +54,7 @@ from rtrace.trees.tree import (
 
 _MAX_REFS = 2**31 - 1  # a leaf's n_prims has 30 bits, its first primitive 32
 
-# The state of a build, and what it may run out of.
+# The state of a build, and the arrays that may be too short.
 _WAITING, _NODES, _REFS, _PENDING, _DEEPEST = range(5)
 _DONE, _OUT_OF_NODES, _OUT_OF_PRIMS, _OUT_OF_EVENTS = range(4)
 
@@ -62,13 +62,13 @@ _DONE, _OUT_OF_NODES, _OUT_OF_PRIMS, _OUT_OF_EVENTS = range(4)
 class _Cells(NamedTuple):
     """The stack of cells that wait to be split, flat arrays. The top one's events are the last in the arena."""
 
-    node: np.ndarray  # int64, (room,)
+    node: np.ndarray  # (room,) int64
     level: np.ndarray
     n_refs: np.ndarray
-    ceiling: np.ndarray  # the references there may be when all of its subtree is built
-    begin: np.ndarray  # int64, (3 room,): its events are events[axis, begin:end]
+    ceiling: np.ndarray  # the most references when its whole subtree is built
+    begin: np.ndarray  # (3 room,) int64: its events are events[axis, begin:end]
     end: np.ndarray
-    box: np.ndarray  # float64, (6 room,): lower and upper corner
+    box: np.ndarray  # (6 room,) float64: lower and upper corner
 
 
 class _Scratch(NamedTuple):
@@ -180,7 +180,7 @@ def _build(vertices, events, tree, cells, scratch, limits, state):
         tree.uints[KD_WORDS * node + KD_META] = child << AXIS_BITS | axis
         state[_WAITING] += 1
         state[_NODES] += 2
-        # Past the first half, what may be added is shared: else a fan uses it up on one side, the other stays unsplit.
+        # Beyond the first half, the children share what may be added: else a fan uses it up on one side only.
         share = np.int64((ceiling[cell] - n_refs) * (n_below / (n_below + n_above)))
         ceiling[cell + 1] = max(n_refs + share, min(ceiling[cell], max_refs // 2))
         state[_PENDING] = n_refs
@@ -236,7 +236,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     if max_refs is None:
         max_refs = min(16 * n + 1000, _MAX_REFS)
     rules = (
-        ("the number of triangles", n, 1 <= n <= TRIANGLE, "1 to 2**30 - 1; split the scene or drop it"),
+        ("the number of triangles", n, 1 <= n <= TRIANGLE, "1 to 2**30 - 1; split the scene"),
         ("c_trav", c_trav, 0 <= c_trav < math.inf, "finite and not negative, e.g. 1.5"),
         ("c_isect", c_isect, 0 < c_isect < math.inf, "finite and positive, e.g. 2"),
         ("empty_bonus", empty_bonus, 0 < empty_bonus <= 1, "above 0 and at most 1; 1 is no bonus"),
