@@ -1,9 +1,9 @@
-"""Prefetch policies: rows of a trace (node, kind) -> the events a cache sees (node, label), prefetches among them.
+"""Prefetch policies: rows of a trace (node, kind) -> the accesses that a cache sees (node, access type), prefetches included.
 
-A run records every push, so the node stack can be rebuilt from the demand rows alone, and any policy of the prefetch unit
-replayed without rendering again. The unit has the stack's top ``sp`` and a pointer ``pp``. Push: pp = sp. Pop: pp =
-min(pp, sp). At a non-empty leaf, before its triangles are tested: while there is budget and pp > 0, pp -= 1 and request
-stack[pp]. The pointer stays where it stopped. A ray starts with an empty stack.
+A run records every push. So the replay can rebuild the node stack from the demand rows alone, and derive the requests of any
+policy of the prefetch unit without another rendering. The unit has the stack's top ``sp`` and a pointer ``pp``. A push sets
+pp = sp, a pop pp = min(pp, sp). At a non-empty leaf, before the triangles are tested: while there is budget and pp > 0, the
+unit decrements pp and requests stack[pp]. The pointer stays where it stopped. A ray starts with an empty stack.
 """
 
 import re
@@ -19,7 +19,7 @@ from traces.format import LEAF as KIND_LEAF
 from traces.format import PREFETCH as KIND_PREFETCH
 from traces.format import PUSH as KIND_PUSH
 
-#: A request of the prefetch unit as a label: what DineroIV calls type b.
+#: The access type of a request of the prefetch unit: what DineroIV calls type b.
 REQUEST = PREFETCH | MISC
 
 UNLIMITED = np.iinfo(np.int64).max
@@ -39,13 +39,13 @@ class Prefetch:
         ``"none"``: demand only; ``"traced"``: the requests in the trace; ``"stack"``: those of the prefetch unit, derived
         from the demand rows; ``"next-line"``: a sequential prefetcher in the cache, DineroIV's always, miss and tagged.
     budget : int
-        stack: most requests at a leaf, or with ``per_triangle`` per triangle of the leaf.
+        stack: the most requests at a leaf; with ``per_triangle``, per triangle of the leaf.
     once : bool
         stack: an entry is requested at most once while it is on the stack, even if a later push moves the pointer back up.
     empty : bool
         stack: empty leaves trigger requests too.
     trigger, distance : int
-        next-line: NEVER, ALWAYS, ON_MISS or TAGGED; and how many lines ahead.
+        next-line: NEVER, ALWAYS, ON_MISS or TAGGED, and how many lines ahead the request is.
     """
 
     kind: str
@@ -76,9 +76,11 @@ def parse_prefetch(text: str) -> Prefetch:
     if kind == "next-line" and 1 <= len(options) <= 2 and options[0] in _TRIGGERS:
         distance = options[1] if len(options) == 2 else "1"
         if re.fullmatch(r"[1-9]\d{0,5}", distance) is None:
-            raise NptraceError(f"{text!r}: a distance is a number of lines from 1 to 999999, not {distance!r}")
+            raise NptraceError(
+                f"{text!r}: a distance must be 1 to 999999 lines, got {distance!r}; write e.g. next-line:miss:2"
+            )
         return Prefetch(kind, trigger=_TRIGGERS[options[0]], distance=int(distance))
-    raise NptraceError(f"{text!r} is not a pre-fetch policy; write {FORMS}")
+    raise NptraceError(f"{text!r} is not a prefetch policy; write {FORMS}")
 
 
 def _parse_stack(text: str, options: list[str]) -> Prefetch:
@@ -90,24 +92,24 @@ def _parse_stack(text: str, options: list[str]) -> Prefetch:
         elif option not in ("once", "empty"):
             raise NptraceError(f"{text!r}: {option!r} is not an option of stack; write {FORMS}")
     if len(budgets) > 1 or len(set(options)) < len(options):
-        raise NptraceError(f"{text!r} says something twice; write {FORMS}")
+        raise NptraceError(f"{text!r} repeats an option; write {FORMS}")
     budget, per_triangle = budgets[0] if budgets else (UNLIMITED, False)
     return Prefetch("stack", budget, per_triangle, "once" in options, "empty" in options)
 
 
 class StackReplay:
-    """The prefetch unit over one trace: batches of rows in, batches of events out, its stack kept in between.
+    """The prefetch unit over one trace: batches of rows in, batches of events out. It keeps its stack from batch to batch.
 
     Parameters
     ----------
     policy : Prefetch
         Of kind ``stack``.
     is_kd : bool
-        In a kd-tree the row after a read (kind 0) is the child followed; in a BVH it is popped.
+        In a kd-tree, the row after a read (kind 0) is the child that the ray enters; in a BVH, it is popped from the stack.
     n_prims, level : (n_nodes,) array
         Columns of ``nodes.parquet``.
     where : str
-        What the rows are read from, for errors.
+        The file of the rows, for messages.
     """
 
     def __init__(
@@ -122,11 +124,11 @@ class StackReplay:
         self._state = np.array([0, 0, -1], np.int64)  # sp, pp, kind of the last demand row (-1: none yet)
 
     def events(self, nodes: np.ndarray, kinds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (nodes, labels) of the demand rows and of the requests that this policy makes; traced requests are dropped.
+        """Return (nodes, access types) of the demand rows and of the requests of this policy; traced requests are dropped.
 
         Raises
         ------
-        ValueError
+        NptraceError
             The rows are not a traversal of this tree: a popped node is not on the stack.
         """
         policy, pieces, start = self._policy, [], 0
@@ -139,8 +141,8 @@ class StackReplay:
             )  # fmt: skip
             if is_bad:
                 raise NptraceError(
-                    f"{self._where}, column 'node', row {self._n_rows + start}: {nodes[start]} does not follow from the rows "
-                    "before it, as a node of a traversal does; render the run again"
+                    f"{self._where}, column 'node', row {self._n_rows + start}: a traversal cannot read node {nodes[start]} "
+                    "after the rows before it; render the run again"
                 )
             pieces.append((out[:n], labels[:n]))
         self._n_rows += nodes.size
@@ -153,10 +155,10 @@ class StackReplay:
 def rebuild(
     nodes, kinds, start, n_prims, is_kd, budget, per_triangle, once, empty, stack, asked, state, out, labels
 ):  # fmt: skip
-    """Rebuild the stack over rows ``start`` on and write the events, until the rows or the room for events end.
+    """Rebuild the stack from row ``start`` on and write the events, until the rows or the room for events run out.
 
-    ``state`` is sp, pp and the kind of the last demand row. Returns (the first row not done, events written, whether that
-    row contradicts the rows before it).
+    ``state`` is sp, pp and the kind of the last demand row. Return (the first row not replayed, the number of events
+    written, whether that row contradicts the rows before it).
     """
     sp, pp, last_kind = state[0], state[1], state[2]
     n = 0

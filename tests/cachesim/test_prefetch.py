@@ -176,5 +176,5 @@ def test_what_is_not_a_policy(text):
 )
 def test_a_trace_that_is_not_of_its_tree(kind, rows):
     level, n_prims = np.array([0, 1, 1, 2, 2, 3, 3, 3, 3]), np.ones(9, np.uint32)
-    with pytest.raises(ValueError, match="does not follow from the rows before it"):
+    with pytest.raises(ValueError, match="a traversal cannot read node .* after the rows before it"):
         StackReplay(parse_prefetch("stack"), kind == "kdtree", n_prims, level).events(*columns(rows))

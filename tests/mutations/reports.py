@@ -26,7 +26,7 @@ MUTATIONS = [
              "(address + (node_bytes - 1)) >> shift", "((address + (node_bytes - 1)) & 0xFFFFFFFF) >> shift", BORDERS + " -k 2_32"),
     Mutation("border: addresses of text with 31 bits", "traces/din.py", "address[n] = value & np.uint64(0xFFFFFFFC)", "address[n] = value & np.uint64(0x7FFFFFFC)", BORDERS + " -k last_addresses"),
     Mutation("border: DineroIV's block counts in float32", "cachesim/report/dinero.py", "return np.array([fetch + read", "return np.float32([fetch + read", BORDERS + " -k whole"),
-    Mutation("border: misses counted in float32", "cachesim/replay.py", "self.misses = np.zeros(N_LABELS, np.int64)", "self.misses = np.zeros(N_LABELS, np.float32)", BORDERS + " -k more_misses"),
+    Mutation("border: misses counted in float32", "cachesim/replay.py", "self.misses = np.zeros(N_ACCESS_TYPES, np.int64)", "self.misses = np.zeros(N_ACCESS_TYPES, np.float32)", BORDERS + " -k more_misses"),
     Mutation("border: a sweep counts in int16", "cachesim/all_associativity.py", "2 + LANES + LANES * n_deeper), np.int64)", "2 + LANES + LANES * n_deeper), np.int16)", BORDERS + " -k more_misses"),
     Mutation("border: the pre-fetch unit's stack ends at 64", "cachesim/prefetch.py",
              "np.zeros(max(int(level.max()), 1), np.int64)", "np.zeros(min(max(int(level.max()), 1), 64), np.int64)", BORDERS + " -k deeper"),
@@ -120,10 +120,10 @@ MUTATIONS = [
     Mutation("check: value and limit swapped", "nptrace/commands/check.py", """f"{r['value']:.3g}", f"{r['limit']:.3g}",""", """f"{r['limit']:.3g}", f"{r['value']:.3g}",""", CHECKS),
     Mutation("scenes: stand-ins of two scenes swapped", "rtrace/scenes/catalog.py", "e.url or \"\", e.stand_in))", "e.url or \"\", e.name))", CHECKS),
     # State between batches
-    Mutation("state: OPT's account begins anew with each batch", "cachesim/replay.py", "replay_optimal(lines, ids, labels, next_use, n_before, self.cache)",
-             "self.cache.account[:] = 0\n            replay_optimal(lines, ids, labels, next_use, n_before, self.cache)", STATE),
-    Mutation("state: OPT counts its accesses from 0 in each batch", "cachesim/replay.py", "replay_optimal(lines, ids, labels, next_use, n_before, self.cache)",
-             "replay_optimal(lines, ids, labels, next_use, 0, self.cache)", STATE),
+    Mutation("state: OPT's account begins anew with each batch", "cachesim/replay.py", "replay_optimal(lines, ids, access_types, next_use, n_before, self.cache)",
+             "self.cache.account[:] = 0\n            replay_optimal(lines, ids, access_types, next_use, n_before, self.cache)", STATE),
+    Mutation("state: OPT counts its accesses from 0 in each batch", "cachesim/replay.py", "replay_optimal(lines, ids, access_types, next_use, n_before, self.cache)",
+             "replay_optimal(lines, ids, access_types, next_use, 0, self.cache)", STATE),
     Mutation("state: the pre-fetch unit's stack is empty after a batch", "cachesim/prefetch.py", "policy, pieces, start = self._policy, [], 0\n", "policy, pieces, start = self._policy, [], 0\n        self._state[1] = 0\n", STATE),
     Mutation("state: the tree cache is written in place", "rtrace/trees/tree_cache.py", "with replacing(path) as temporary, open(temporary, \"wb\") as file:", "with open(path, \"wb\") as file:", TREES),
 ]
