@@ -188,6 +188,32 @@ def _build(vertices, events, tree, cells, scratch, limits, state):
     return _DONE
 
 
+def _check_options(n, c_trav, c_isect, empty_bonus, max_level, max_refs):
+    """Raise NptraceError for the first option that is out of range."""
+    rules = (
+        ("the number of triangles", n, 1 <= n <= TRIANGLE, "1 to 2**30 - 1; split the scene"),
+        ("c_trav", c_trav, 0 <= c_trav < math.inf, "finite and not negative, e.g. 1.5"),
+        ("c_isect", c_isect, 0 < c_isect < math.inf, "finite and positive, e.g. 2"),
+        ("empty_bonus", empty_bonus, 0 < empty_bonus <= 1, "above 0 and at most 1; 1 is no bonus"),
+        ("max_level", max_level, 0 <= max_level <= 65535, "0 to 65535, e.g. 511"),
+        ("max_refs", max_refs, n <= max_refs <= _MAX_REFS, f"from the number of triangles, {n}, to 2**31 - 1"),
+    )
+    for name, given, is_kept, rule in rules:
+        if not is_kept:
+            raise NptraceError(f"{name} must be {rule}; got {given}")
+
+
+def _make_scratch(n: int) -> _Scratch:
+    """Return scratch for n triangles."""
+    int64, int32 = partial(np.empty, dtype=np.int64), partial(np.empty, dtype=np.int32)
+    bounds = PartBounds(whole=int32(6 * n), below=int32(6 * n), above=int32(6 * n))
+    straddlers = Straddlers(slot=int32(n), listed=int32(n), bounds=bounds)
+    parted = Parted(
+        kept=int64((3, 2 * n)), cut=int64((3, 2 * n)), n_kept=int64(3), n_cut=int64(3), end_above=int64(3)
+    )  # fmt: skip
+    return _Scratch(np.empty(n, np.uint8), straddlers, parted, int64(2 * n), int64(2 * n), np.empty(3 * POLYGON))
+
+
 def _grown(array):
     """Return a copy with twice the room along the last axis."""
     return np.concatenate((array, np.empty_like(array)), axis=-1)
@@ -235,17 +261,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     n = len(triangles)
     if max_refs is None:
         max_refs = min(16 * n + 1000, _MAX_REFS)
-    rules = (
-        ("the number of triangles", n, 1 <= n <= TRIANGLE, "1 to 2**30 - 1; split the scene"),
-        ("c_trav", c_trav, 0 <= c_trav < math.inf, "finite and not negative, e.g. 1.5"),
-        ("c_isect", c_isect, 0 < c_isect < math.inf, "finite and positive, e.g. 2"),
-        ("empty_bonus", empty_bonus, 0 < empty_bonus <= 1, "above 0 and at most 1; 1 is no bonus"),
-        ("max_level", max_level, 0 <= max_level <= 65535, "0 to 65535, e.g. 511"),
-        ("max_refs", max_refs, n <= max_refs <= _MAX_REFS, f"from the number of triangles, {n}, to 2**31 - 1"),
-    )
-    for name, given, is_kept, rule in rules:
-        if not is_kept:
-            raise NptraceError(f"{name} must be {rule}; got {given}")
+    _check_options(n, c_trav, c_isect, empty_bonus, max_level, max_refs)
     triangles = np.ascontiguousarray(triangles)
     check_finite(triangles)
     lower, upper = triangle_boxes(triangles)
@@ -254,19 +270,14 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     events, counts = first_events(lower, upper)
     del lower, upper
     room = int(max_level) + 2
-    int64, int32 = partial(np.empty, dtype=np.int64), partial(np.empty, dtype=np.int32)
+    int64 = partial(np.empty, dtype=np.int64)
     cells = _Cells(
         node=int64(room), level=int64(room), n_refs=int64(room), ceiling=int64(room),
         begin=int64(3 * room), end=int64(3 * room), box=np.empty(6 * room),
     )  # fmt: skip
     cells.node[0], cells.level[0], cells.n_refs[0], cells.ceiling[0] = 0, 0, n, max_refs
     cells.begin[:3], cells.end[:3], cells.box[:6] = 0, counts, extent.bounds.reshape(6)
-    bounds = PartBounds(whole=int32(6 * n), below=int32(6 * n), above=int32(6 * n))
-    straddlers = Straddlers(slot=int32(n), listed=int32(n), bounds=bounds)
-    parted = Parted(
-        kept=int64((3, 2 * n)), cut=int64((3, 2 * n)), n_kept=int64(3), n_cut=int64(3), end_above=int64(3)
-    )  # fmt: skip
-    scratch = _Scratch(np.empty(n, np.uint8), straddlers, parted, int64(2 * n), int64(2 * n), np.empty(3 * POLYGON))
+    scratch = _make_scratch(n)
     limits = float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs), extent.limit
     nodes, prims = np.empty(16 * n + 64, np.uint32), np.empty(8 * n + 64, np.int32)
     state = np.array([1, 1, 0, n, 0], np.int64)

@@ -180,7 +180,7 @@ def test_an_error_in_the_last_step_reaches_the_caller():
 
 
 def distances_by_a_list(trace):
-    """Return {(distance, is a pre-fetch): accesses}; distance 0 is a first access."""
+    """Return {(distance, is a prefetch): accesses}; distance 0 is a first access."""
     stack, seen, counts = [], set(), {}
     for line, label in trace:
         distance = 0
