@@ -1,4 +1,4 @@
-"""The kernel of a sweep: lines and labels in, for every number of sets a histogram of LRU depths out.
+"""The kernel of a sweep: lines and access types in, for every number of sets a histogram of LRU depths out.
 
 For each number of sets, from few to many, each set keeps its lines newest first; the depth at which a line is found says which
 numbers of ways hit (``cachesim.sweep`` has the argument). Depths are compared 16 at a time.
@@ -45,9 +45,9 @@ class SetCounts:
         self._oldest = _aligned(LANES * n_deeper * n_sets)  # and those beyond, if there are so many ways
         self.counts = np.zeros((n_set_counts, 2, 2 + LANES + LANES * n_deeper), np.int64)
 
-    def step(self, lines: np.ndarray, labels: np.ndarray) -> None:
-        """Take the next (line uint32, label uint8) pairs."""
-        walk(lines, labels, self._first, self.counts.shape[0], self._newest, self._older, self._oldest,
+    def step(self, lines: np.ndarray, access_types: np.ndarray) -> None:
+        """Take the next (line uint32, access type uint8) pairs."""
+        walk(lines, access_types, self._first, self.counts.shape[0], self._newest, self._older, self._oldest,
              self.counts.reshape(-1), self.counts.shape[2])  # fmt: skip
 
     def misses(self, config: CacheConfig) -> tuple[int, int]:
@@ -123,7 +123,7 @@ def put_first(typing_context, lines, at, line, carried):
 
 
 @kernel
-def walk(lines, labels, first, n_set_counts, newest, older, oldest, counts, n_depths):
+def walk(lines, access_types, first, n_set_counts, newest, older, oldest, counts, n_depths):
     """Access each line at one number of sets after the other, from 2^first on, until it is the newest of its set.
 
     ``counts`` has ``n_depths`` bins for the demand accesses and as many for the prefetches of each number of sets.
@@ -132,7 +132,7 @@ def walk(lines, labels, first, n_set_counts, newest, older, oldest, counts, n_de
     first_mask, bins_of_both = (ONE << np.uint64(first)) - ONE, n_depths + n_depths
     for i in range(lines.size):
         line = lines[i]
-        bins = n_depths if labels[i] >= PREFETCH else ZERO
+        bins = n_depths if access_types[i] >= PREFETCH else ZERO
         end = bins + np.uint64(n_set_counts) * bins_of_both
         first_set, mask = ZERO, first_mask
         while bins < end:

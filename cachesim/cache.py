@@ -1,4 +1,4 @@
-"""One cache, exactly, with everything that can be asked of it: lines and labels in, counts per label and the account out.
+"""One cache, replayed exactly: lines and access types in; counts per access type, and the account of prefetches, out.
 
 Any ways and policy, prefetches that fill and refresh as a read does, sequential prefetchers, the three kinds of misses, and
 what became of every prefetch. Lines are keyed by dense ids (``Lines.ids``), so nothing depends on the number of ways.
@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cachesim.access import IFETCH, N_LABELS, PREFETCH, READ
+from cachesim.access import IFETCH, N_ACCESS_TYPES, PREFETCH, READ
 from cachesim.config import CacheConfig
 from cachesim.fast_lru import set_mask, set_of
 from cachesim.next_use import NO_MORE
 from cachesim.replacement import Lists, grow_lists, insert, make_lists, refresh
 from nptrace_base.jit import kernel
 
-#: Rows of the counts, one column per label.
+#: Rows of the counts, one column per access type.
 GENERATED, MISSES, COMPULSORY, CAPACITY, CONFLICT = range(5)
 
 #: Entries of the account.
@@ -40,7 +40,7 @@ class Cache(NamedTuple):
     lists: Lists
     shadow: Lists
     facts: np.ndarray  # (n_ids,) uint8: the bits above
-    counts: np.ndarray  # (5 * N_LABELS,) int64
+    counts: np.ndarray  # (5 * N_ACCESS_TYPES,) int64
     account: np.ndarray  # (3,) int64
     mask: int  # of set_of
     three_c: bool
@@ -52,7 +52,7 @@ def make_cache(config: CacheConfig, n_ids: int, *, three_c: bool) -> Cache:
         lists=make_lists(config, n_ids),
         shadow=make_lists(config, n_ids if three_c else 0, fully_associative=True),
         facts=np.zeros(n_ids, np.uint8),
-        counts=np.zeros(5 * N_LABELS, np.int64),
+        counts=np.zeros(5 * N_ACCESS_TYPES, np.int64),
         account=np.zeros(3, np.int64),
         mask=set_mask(config.n_sets),
         three_c=three_c,
@@ -73,10 +73,10 @@ def n_resident_unused(cache: Cache) -> int:
 
 
 @kernel(_nrt=False, forceinline=True)
-def access(cache, line, line_id, label):
+def access(cache, line, line_id, access_type):
     """Access one line; return whether it missed, or was demanded for the first time since a prefetch filled it."""
     facts, counts, account = cache.facts, cache.counts, cache.account
-    is_prefetch = (label & PREFETCH) != 0
+    is_prefetch = (access_type & PREFETCH) != 0
     fact = facts[line_id]
     now = fact | TOUCHED
     if cache.three_c:
@@ -97,14 +97,14 @@ def access(cache, line, line_id, label):
             is_first_use = True
         facts[line_id] = now
         return is_first_use
-    counts[MISSES * N_LABELS + label] += 1
+    counts[MISSES * N_ACCESS_TYPES + access_type] += 1
     if cache.three_c:
         if fact & SHADOWED:
-            counts[CONFLICT * N_LABELS + label] += 1
+            counts[CONFLICT * N_ACCESS_TYPES + access_type] += 1
         elif fact & TOUCHED:
-            counts[CAPACITY * N_LABELS + label] += 1
+            counts[CAPACITY * N_ACCESS_TYPES + access_type] += 1
         else:
-            counts[COMPULSORY * N_LABELS + label] += 1
+            counts[COMPULSORY * N_ACCESS_TYPES + access_type] += 1
     victim = insert(cache.lists, s, line_id)
     if victim >= 0:
         lost = facts[victim]
@@ -120,7 +120,7 @@ def access(cache, line, line_id, label):
 
 
 @kernel(_nrt=False)
-def replay_exact(lines, ids, labels, cache):
+def replay_exact(lines, ids, access_types, cache):
     """Replay accesses in order; the prefetches among them are requests of their own.
 
     Parameters
@@ -129,16 +129,16 @@ def replay_exact(lines, ids, labels, cache):
         Line numbers; those of a source may start at its lowest line.
     ids : (n,) uint32
         Dense id of each line.
-    labels : (n,) uint8
+    access_types : (n,) uint8
         READ, IFETCH or MISC, with PREFETCH or-ed for a prefetch.
     cache : Cache
     """
     for i in range(lines.size):
-        access(cache, np.int64(lines[i]), np.int64(ids[i]), labels[i])
+        access(cache, np.int64(lines[i]), np.int64(ids[i]), access_types[i])
 
 
 @kernel(_nrt=False)
-def replay_optimal(lines, ids, labels, next_use, start, cache):
+def replay_optimal(lines, ids, access_types, next_use, start, cache):
     """Replay accesses in order through a cache that knows the future: as ``replay_exact``, under the policy ``opt``.
 
     Of lines that are not used again, the one goes whose last use is longest ago.
@@ -157,11 +157,11 @@ def replay_optimal(lines, ids, labels, next_use, start, cache):
         cache.lists.due[line_id] = due
         if cache.three_c:
             cache.shadow.due[line_id] = due
-        access(cache, np.int64(lines[i]), line_id, labels[i])
+        access(cache, np.int64(lines[i]), line_id, access_types[i])
 
 
 @kernel(_nrt=False)
-def replay_sequential(lines, ids, next_ids, labels, cache, trigger, distance):
+def replay_sequential(lines, ids, next_ids, access_types, cache, trigger, distance):
     """Replay accesses in order with a sequential prefetcher, whose request follows the access that triggers it.
 
     As ``replay_exact``, and ``next_ids`` are the ids of the lines ``distance`` further on. Only reads and instruction
@@ -169,12 +169,12 @@ def replay_sequential(lines, ids, next_ids, labels, cache, trigger, distance):
     a prefetch filled it.
     """
     for i in range(lines.size):
-        line, line_id, label = np.int64(lines[i]), np.int64(ids[i]), labels[i]
+        line, line_id, access_type = np.int64(lines[i]), np.int64(ids[i]), access_types[i]
         was_resident = (cache.facts[line_id] & RESIDENT) != 0
-        is_new = access(cache, line, line_id, label)
-        if label != READ and label != IFETCH:
+        is_new = access(cache, line, line_id, access_type)
+        if access_type != READ and access_type != IFETCH:
             continue
         if trigger == ALWAYS or (is_new and (trigger == TAGGED or not was_resident)):
-            request = np.uint8(label | PREFETCH)
-            cache.counts[GENERATED * N_LABELS + request] += 1
+            request = np.uint8(access_type | PREFETCH)
+            cache.counts[GENERATED * N_ACCESS_TYPES + request] += 1
             access(cache, line + distance, np.int64(next_ids[i]), request)

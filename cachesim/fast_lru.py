@@ -1,4 +1,4 @@
-"""Counts only, LRU: line numbers and labels in, misses per label out. The fast paths for one way and two.
+"""Counts only, LRU: line numbers and access types in, misses per access type out. The fast paths for one way and two.
 
 Lines are uint32. A source may number them from its lowest line: that turns the sets round and changes no count. The state is
 updated in place, so replaying a trace in batches is replaying it at once. Measured in one run, ns per access from memory:
@@ -33,25 +33,25 @@ def set_of(line, n_sets, mask):
 
 
 @kernel
-def direct_mapped(lines, labels, n_sets, mask, tags, misses):
-    """Replay lines through a direct-mapped cache; ``misses[label]`` counts up."""
+def direct_mapped(lines, access_types, n_sets, mask, tags, misses):
+    """Replay lines through a direct-mapped cache; ``misses[access_type]`` counts up."""
     for i in range(lines.size):
         line = np.int64(lines[i])
         s = set_of(line, n_sets, mask)
         if tags[s] != line:
             tags[s] = line
-            misses[labels[i]] += 1
+            misses[access_types[i]] += 1
 
 
 @kernel
-def two_way(lines, labels, n_sets, mask, tags, misses):
-    """Replay lines through a two-way LRU cache; ``misses[label]`` counts up."""
+def two_way(lines, access_types, n_sets, mask, tags, misses):
+    """Replay lines through a two-way LRU cache; ``misses[access_type]`` counts up."""
     for i in range(lines.size):
         line = np.int64(lines[i])
         s = 2 * set_of(line, n_sets, mask)
         first = tags[s]
         if first != line:
             if tags[s + 1] != line:
-                misses[labels[i]] += 1
+                misses[access_types[i]] += 1
             tags[s + 1] = first
             tags[s] = line

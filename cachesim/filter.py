@@ -50,7 +50,7 @@ def check_exact(
 ) -> None:
     """Raise a ValueError unless a filter of ``n_sets`` sets and ``line_bytes`` lines changes no count of these replays."""
     if n_sets < 1:
-        raise NptraceError(f"a filter of {n_sets} sets: it must have at least 1; use filter_sets(configs)")
+        raise NptraceError(f"a filter needs at least 1 set, got {n_sets}; use filter_sets(configs)")
     for config in configs:
         if config.line_bytes != line_bytes:
             raise NptraceError(
@@ -107,52 +107,52 @@ class DirectFilter:
         self._newest = Newest(np.full(n_sets, _NONE, np.uint64), n_sets, set_mask(n_sets), keep_first_use)
         self.n_dropped_demand = self.n_dropped_prefetches = 0
 
-    def accesses(self, lines: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the (line uint32, label uint8) pairs that are kept, in order."""
-        kept, kept_labels = np.empty(lines.size, np.uint32), np.empty(lines.size, np.uint8)
-        n = drop_repeats(lines, labels, self._newest, kept, kept_labels)
-        kept, kept_labels = kept[:n], kept_labels[:n]
-        self._note(int(np.count_nonzero(labels >= PREFETCH)), lines.size, kept_labels)
-        return kept, kept_labels
+    def accesses(self, lines: np.ndarray, access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (line uint32, access type uint8) pairs that are kept, in order."""
+        kept, kept_types = np.empty(lines.size, np.uint32), np.empty(lines.size, np.uint8)
+        n = drop_repeats(lines, access_types, self._newest, kept, kept_types)
+        kept, kept_types = kept[:n], kept_types[:n]
+        self._note(int(np.count_nonzero(access_types >= PREFETCH)), lines.size, kept_types)
+        return kept, kept_types
 
     def looked_up(
-        self, table: np.ndarray, rows: np.ndarray, labels: np.ndarray, totals: np.ndarray
+        self, table: np.ndarray, rows: np.ndarray, access_types: np.ndarray, totals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Add the accesses to lines table[rows] to ``totals``, per label; return the (line, label) pairs that are kept.
+        """Add the accesses to lines table[rows] to ``totals``, per access type; return the (line, access type) pairs to keep.
 
         In one pass: looking up, counting and filtering one after the other took 1.3 to 1.7 times as long.
         """
-        kept, kept_labels = np.empty(rows.size, np.uint32), np.empty(rows.size, np.uint8)
+        kept, kept_types = np.empty(rows.size, np.uint32), np.empty(rows.size, np.uint8)
         counted = np.zeros(totals.size, np.int64)
-        n = look_up_and_drop(table, rows, labels, self._newest, counted, kept, kept_labels)
+        n = look_up_and_drop(table, rows, access_types, self._newest, counted, kept, kept_types)
         totals += counted
-        kept, kept_labels = kept[:n], kept_labels[:n]
-        self._note(int(counted[PREFETCH:].sum()), rows.size, kept_labels)
-        return kept, kept_labels
+        kept, kept_types = kept[:n], kept_types[:n]
+        self._note(int(counted[PREFETCH:].sum()), rows.size, kept_types)
+        return kept, kept_types
 
-    def _note(self, n_prefetches: int, n: int, kept_labels: np.ndarray) -> None:
+    def _note(self, n_prefetches: int, n: int, kept_types: np.ndarray) -> None:
         """Count what was dropped of n accesses."""
-        n_prefetches -= int(np.count_nonzero(kept_labels >= PREFETCH))
+        n_prefetches -= int(np.count_nonzero(kept_types >= PREFETCH))
         self.n_dropped_prefetches += n_prefetches
-        self.n_dropped_demand += n - kept_labels.size - n_prefetches
+        self.n_dropped_demand += n - kept_types.size - n_prefetches
 
 
 def filtered(
     batches: Iterable[tuple[np.ndarray, np.ndarray]], direct: DirectFilter
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the batches of (lines, labels) without what the filter drops; it counts that."""
-    for lines, labels in batches:
-        yield direct.accesses(lines, labels)
+    """Yield the batches of (lines, access types) without the accesses that the filter drops and counts."""
+    for lines, access_types in batches:
+        yield direct.accesses(lines, access_types)
 
 
 @inlined
-def _is_kept(line, label, newest):
+def _is_kept(line, access_type, newest):
     """Return whether a filter keeps an access, which is then the newest of its set."""
     s = np.uint64(set_of(np.int64(line), newest.n_sets, newest.mask))
     tag, before = (np.uint64(line) << ONE) | ONE, newest.tags[s]
     if before == tag:
         return False
-    if newest.keep_first_use and label >= PREFETCH:
+    if newest.keep_first_use and access_type >= PREFETCH:
         tag ^= ONE
         if before == tag:
             return False
@@ -161,29 +161,29 @@ def _is_kept(line, label, newest):
 
 
 @kernel
-def drop_repeats(lines, labels, newest, kept, kept_labels):
+def drop_repeats(lines, access_types, newest, kept, kept_types):
     """Copy the accesses that a filter keeps; return how many."""
     n = np.uint64(0)
     for i in range(lines.size):
-        line, label = lines[i], labels[i]
+        line, access_type = lines[i], access_types[i]
         # A branch: copying always and advancing by 0 or 1 took 0.65 to 3.5 times the time (mean 1.4), as each access then
         # waits for the one before it in its set.
-        if _is_kept(line, label, newest):
+        if _is_kept(line, access_type, newest):
             kept[n] = line
-            kept_labels[n] = label
+            kept_types[n] = access_type
             n += ONE
     return n
 
 
 @kernel
-def look_up_and_drop(table, rows, labels, newest, totals, kept, kept_labels):
-    """As ``drop_repeats`` for the lines table[rows]; count the labels into totals."""
+def look_up_and_drop(table, rows, access_types, newest, totals, kept, kept_types):
+    """As ``drop_repeats`` for the lines table[rows]; count the access types into totals."""
     n = np.uint64(0)
     for i in range(rows.size):
-        line, label = table[rows[i]], labels[i]
-        totals[label] += 1
-        if _is_kept(line, label, newest):
+        line, access_type = table[rows[i]], access_types[i]
+        totals[access_type] += 1
+        if _is_kept(line, access_type, newest):
             kept[n] = line
-            kept_labels[n] = label
+            kept_types[n] = access_type
             n += ONE
     return n

@@ -14,7 +14,7 @@ def parse_range(text: str) -> tuple[int, int]:
     low, dots, high = (part.strip() for part in text.partition(".."))
     sizes = parse_bytes(low), parse_bytes(high if dots else low)
     if sizes[0] > sizes[1]:
-        raise NptraceError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
+        raise NptraceError(f"{text!r} is not a range: {low} is above {high}; write e.g. {high}..{low}")
     return sizes
 
 
@@ -34,7 +34,7 @@ def parse_ways_range(text: str) -> tuple[str, ...]:
     except ValueError:
         raise NptraceError(f"{text!r} is not a range of ways; write e.g. 1..16") from None
     if not numbers:
-        raise NptraceError(f"{text!r} is no range: {low} is above {high}; write e.g. {high}..{low}")
+        raise NptraceError(f"{text!r} is not a range: {low} is above {high}; write e.g. {high}..{low}")
     if numbers[-1] - numbers[0] >= MAX_RANGE:
         raise NptraceError(f"{text!r} names more than {MAX_RANGE} numbers of ways; write e.g. 1..16")
     return tuple(map(str, numbers))
@@ -58,9 +58,9 @@ def grid(sizes: Sequence[tuple[int, int]], ways: Sequence[str], line_bytes: Sequ
             fitting = sorted(size for size in possible if any(low <= size <= high for low, high in sizes))
             configs += [CacheConfig(size, size // line if is_full else n_ways, line) for size in fitting]
     if not configs:
-        said = ", ".join(format_bytes(low) + (f"..{format_bytes(high)}" if high > low else "") for low, high in sizes)
+        named = ", ".join(format_bytes(low) + (f"..{format_bytes(high)}" if high > low else "") for low, high in sizes)
         raise NptraceError(
-            f"no cache of {said} with {', '.join(ways)} ways has a power of two as its number of sets (size = sets x ways x "
+            f"no cache of {named} with {', '.join(ways)} ways has a power of two as its number of sets (size = sets x ways x "
             "line); choose another size, e.g. 4K..64K"
         )
     return list(dict.fromkeys(configs))

@@ -1,8 +1,8 @@
 """Where each node lies in memory: columns of nodes.parquet and a layout's name -> one byte address per node.
 
-Every layout is a permutation of the slots ``stored`` uses, apart from the padding said beside it. ``+BYTES`` after a name
-moves all of it: ``stored+8`` lets the sibling pairs of an 8-byte kd-tree, which start at number 1, start on even numbers of
-nodes, so that none lies across two lines.
+Every layout is a permutation of the slots of ``stored``, apart from the padding that ``LAYOUTS`` names. ``+BYTES`` after a
+name moves all nodes: with ``stored+8``, the sibling pairs of an 8-byte kd-tree start at multiples of 16 bytes, so no pair
+crosses a line boundary.
 """
 
 from collections.abc import Mapping
@@ -16,9 +16,9 @@ from nptrace_base.jit import kernel
 
 #: The layouts, and what each does with nodes and sibling pairs.
 LAYOUTS = {
-    "stored": "as numbered: pairs adjacent, a pair, then its left subtree, then its right (depth-first)",
+    "stored": "in the order of the node numbers: pairs adjacent, depth-first, left subtree first",
     "bfs": "level by level, pairs adjacent",
-    "dfs": "every left child right after its parent, pairs apart",
+    "dfs": "every left child directly after its parent; pairs are not adjacent",
     "veb": "van Emde Boas: the upper half of the levels, then each subtree below, recursively; pairs adjacent",
     "treelet:BYTES": "blocks of BYTES, each filled with a subtree from its root down; pairs adjacent and aligned to their "
     "size, so one node of padding after the root; a block whose subtree ends early is filled with the next subtree",
@@ -44,14 +44,14 @@ def parse_layout(text: str) -> Layout:
     name, colon, block = name.partition(":")
     known = ", ".join(LAYOUTS)
     if name not in {each.partition(":")[0] for each in LAYOUTS}:
-        raise NptraceError(f"{text!r} is not a layout; choose one of {known}, and +BYTES to move it")
+        raise NptraceError(f"{text!r} is not a layout; choose one of {known}; +BYTES moves it")
     if (name == "treelet") != bool(colon):
-        raise NptraceError(f"{text!r} is not a layout: only treelet has a block, as in treelet:256")
+        raise NptraceError(f"{text!r} is not a layout: only treelet has a block size, and needs it; write e.g. treelet:256")
     layout = Layout(name, parse_bytes(block) if colon else 0, parse_bytes(base) if plus else 0)
     if colon and layout.block_bytes < 1:
         raise NptraceError(f"{text!r}: a treelet of 0 B holds no node; write e.g. treelet:256")
     if layout.base >= 1 << 62:
-        raise NptraceError(f"{text!r}: {base} is beyond the largest address, 2^62")
+        raise NptraceError(f"{text!r}: {base} is beyond the largest address, 2^62; move the nodes by less")
     return layout
 
 
@@ -89,18 +89,18 @@ def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout |
 
 
 def stored_addresses(n_nodes: int, node_bytes: int, layout: Layout) -> np.ndarray:
-    """Return the byte address of every node of a tree that lies as numbered, (n_nodes,) int64."""
+    """Return the byte address of every node in the order of the node numbers, (n_nodes,) int64."""
     return layout.base + node_bytes * np.arange(n_nodes, dtype=np.int64)
 
 
 def _parents(nodes: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the parents as int64, checked: the kernels below follow them without looking."""
+    """Return the parents as int64, checked: the kernels below follow them without a check."""
     parents = np.ascontiguousarray(nodes["parent"], np.int64)
     lower, upper = parents[1::2], parents[2::2]
     numbers = np.arange(1, parents.size, 2)
     is_wrong = parents.size % 2 == 0 or (lower != upper).any() or (lower < 0).any() or (lower >= numbers).any()
     if is_wrong or np.bincount(lower, minlength=1).max() > 1:
-        raise NptraceError("the nodes are not a tree of sibling pairs (1, 2), (3, 4) ..., each of one parent; render it again")
+        raise NptraceError("the nodes are not sibling pairs (1, 2), (3, 4), ..., each with one parent; render the run again")
     return parents
 
 

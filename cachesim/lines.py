@@ -1,4 +1,4 @@
-"""From the events of a source and a line size to line numbers: nodes are looked up, addresses divided."""
+"""Events of a source and a line size -> line numbers: looked up for nodes, divided for addresses."""
 
 from typing import Any, Protocol
 
@@ -13,16 +13,16 @@ from nptrace_base.jit import kernel
 class Lines(Protocol):
     """The lines of a source for one line size: events in, the accesses of the cache out.
 
-    An event over a line boundary is one access to each line.
+    An event that crosses a line boundary is one access to each line.
     """
 
-    def accesses(self, events: Any, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return (line uint32, label uint8) of every access of a batch of events."""
+    def accesses(self, events: Any, access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (line uint32, access type uint8) of every access of a batch of events."""
 
     def counted(
-        self, events: Any, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+        self, events: Any, access_types: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Add the accesses of a batch to ``totals`` (per label); return those that the filter, if any, keeps."""
+        """Add the accesses of a batch to ``totals`` (per access type); return those that the filter, if any, keeps."""
 
     def ids(self, lines: np.ndarray) -> np.ndarray:
         """Return the dense id (uint32) of every line."""
@@ -33,7 +33,7 @@ class Lines(Protocol):
 
 
 class NodeLines:
-    """The lines of every node, looked up by its number. A layout packs the nodes, so the lines are their own dense ids.
+    """The lines of every node, by node number. A layout packs the nodes, so line numbers serve as dense ids.
 
     A leaf that is no node in memory has the address -1, and no event names it.
     """
@@ -41,12 +41,12 @@ class NodeLines:
     def __init__(self, address: np.ndarray, node_bytes: int, line_bytes: int, ahead: int) -> None:
         if address.min() < 0:
             address = np.where(address < 0, address.max(), address)
-        shift = line_bytes.bit_length() - 1  # lines are powers of two, and a division took ten times as long
+        shift = line_bytes.bit_length() - 1  # a line is a power of two, and a division took ten times as long
         first, last = address >> shift, (address + (node_bytes - 1)) >> shift
-        lowest = int(first.min())  # numbering from it turns the sets round and changes no count
+        lowest = int(first.min())  # numbering from it only permutes the sets, which changes no count
         self.n_ids = int(last.max()) - lowest + 1 + ahead
         if self.n_ids >= 1 << 31:
-            raise NptraceError(f"the tree spans {self.n_ids} lines of {line_bytes} B; the limit is 2^31 - 1, use longer lines")
+            raise NptraceError(f"the tree spans {self.n_ids} lines of {line_bytes} B; the limit is 2^31 - 1; use longer lines")
         self._first = (first - lowest).astype(np.uint32)
         self._last = (last - lowest).astype(np.uint32) if (last != first).any() else None
 
@@ -55,19 +55,19 @@ class NodeLines:
         last = self._first if self._last is None else self._last
         return self._first, (last - self._first + 1).astype(np.uint8)
 
-    def accesses(self, events: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def accesses(self, events: np.ndarray, access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of node reads."""
         events = read_only(events)
         first = look_up(self._first, events)
-        return (first, labels) if self._last is None else split(first, look_up(self._last, events), labels)
+        return (first, access_types) if self._last is None else split(first, look_up(self._last, events), access_types)
 
     def counted(
-        self, events: np.ndarray, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+        self, events: np.ndarray, access_types: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of node reads that are kept."""
         if direct is not None and self._last is None:
-            return direct.looked_up(self._first, read_only(events), labels, totals)
-        return count_and_keep(*self.accesses(events, labels), direct, totals)
+            return direct.looked_up(self._first, read_only(events), access_types, totals)
+        return count_and_keep(*self.accesses(events, access_types), direct, totals)
 
     def ids(self, lines: np.ndarray) -> np.ndarray:
         """Return the lines themselves."""
@@ -86,48 +86,52 @@ class AddressLines:
         """Number of different lines so far."""
         return self._dense.n_ids
 
-    def accesses(self, events: tuple[np.ndarray, np.ndarray | int], labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def accesses(self, events: tuple[np.ndarray, np.ndarray | int], access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of reads at addresses."""
         address, size = events
         first = address // np.uint32(self._line_bytes)
         last = (address + (np.asarray(size, np.uint32) - np.uint32(1))) // np.uint32(self._line_bytes)  # below 2^32, checked
-        return (first, labels) if np.array_equal(first, last) else split(first, last, labels)
+        return (first, access_types) if np.array_equal(first, last) else split(first, last, access_types)
 
     def counted(
-        self, events: tuple[np.ndarray, np.ndarray | int], labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+        self,
+        events: tuple[np.ndarray, np.ndarray | int],
+        access_types: np.ndarray,
+        direct: DirectFilter | None,
+        totals: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of reads that are kept."""
-        return count_and_keep(*self.accesses(events, labels), direct, totals)
+        return count_and_keep(*self.accesses(events, access_types), direct, totals)
 
     def ids(self, lines: np.ndarray) -> np.ndarray:
-        """Return the id of each line, numbering those not seen before."""
+        """Return the id of each line; a new line gets the next number."""
         return self._dense.ids(lines)
 
 
 def count_and_keep(
-    lines: np.ndarray, labels: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
+    lines: np.ndarray, access_types: np.ndarray, direct: DirectFilter | None, totals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Add accesses to ``totals`` (per label); return those that the filter, if any, keeps."""
-    tally(labels, totals)
-    return (lines, labels) if direct is None else direct.accesses(lines, labels)
+    """Add accesses to ``totals`` (per access type); return those that the filter, if any, keeps."""
+    tally(access_types, totals)
+    return (lines, access_types) if direct is None else direct.accesses(lines, access_types)
 
 
 @kernel
-def tally(labels, totals):
-    """Count the labels into totals."""
-    for label in labels:
-        totals[label] += 1
+def tally(access_types, totals):
+    """Count the access types into totals."""
+    for access_type in access_types:
+        totals[access_type] += 1
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """Return a view that cannot be written to, as Arrow's arrays cannot: to Numba that is another type, compiled apart."""
+    """Return a read-only view. Arrow's arrays are read-only, and Numba compiles a kernel anew for that type."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
 def look_up(table: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Return table[rows] as uint32; the rows were checked to be in the table."""
+    """Return table[rows] as uint32; the caller has checked that the rows are in the table."""
     values = np.empty(rows.size, np.uint32)
     gather(table, rows, values)
     return values
@@ -140,20 +144,20 @@ def gather(table, rows, values):
         values[i] = table[rows[i]]
 
 
-def split(first: np.ndarray, last: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return one access for every line that an event touches, in ascending order, each with the event's label."""
+def split(first: np.ndarray, last: np.ndarray, access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return one access for every line that an event touches, in ascending order, each with the event's access type."""
     n = first.size + int((last - first).sum(dtype=np.int64))
-    lines, out_labels = np.empty(n, np.uint32), np.empty(n, np.uint8)
-    fill_pieces(first, last, labels, lines, out_labels)
-    return lines, out_labels
+    lines, out_types = np.empty(n, np.uint32), np.empty(n, np.uint8)
+    fill_pieces(first, last, access_types, lines, out_types)
+    return lines, out_types
 
 
 @kernel
-def fill_pieces(first, last, labels, lines, out_labels):
-    """Write the lines first[i] ... last[i] of every event i, and its label with each."""
+def fill_pieces(first, last, access_types, lines, out_types):
+    """Write the lines first[i] ... last[i] of every event i, each with the event's access type."""
     n = 0
     for i in range(first.size):
         for line in range(np.int64(first[i]), np.int64(last[i]) + 1):
             lines[n] = line
-            out_labels[n] = labels[i]
+            out_types[n] = access_types[i]
             n += 1

@@ -29,8 +29,8 @@ class NextUse:
         end = self.n_added + ids.size
         if end > MAX_ACCESSES:
             raise NptraceError(
-                f"opt keeps the next use of every access, and this trace has more than {MAX_ACCESSES:,}; render a smaller "
-                "picture, or use lru"
+                f"opt stores the next use of every access, and this trace has more than {MAX_ACCESSES:,} accesses; render a "
+                "smaller picture, or use lru"
             )
         if end > self._next.size:
             self._next.resize(max(end, 2 * self._next.size), refcheck=False)  # in place: no moment with two copies

@@ -100,7 +100,7 @@ class UnitReplay:
     n_rows : int
         Demand rows of the trace, for policies that need two passes.
     where : str
-        What the rows are read from, for errors.
+        The file of the rows, for messages.
     """
 
     def __init__(
@@ -161,8 +161,8 @@ class UnitReplay:
             )  # fmt: skip
             if is_bad:
                 raise NptraceError(
-                    f"{self._where}, column 'node', row {self._n_rows + start}: {nodes[start]} does not follow from the rows "
-                    "before it, as a node of a traversal does; render the run again"
+                    f"{self._where}, column 'node', row {self._n_rows + start}: a traversal cannot read node {nodes[start]} "
+                    "after the rows before it; render the run again"
                 )
             pieces.append((out[:n], types[:n]))
         self._n_rows += nodes.size

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cachesim import fast_lru
-from cachesim.access import N_LABELS, PREFETCH
+from cachesim.access import N_ACCESS_TYPES, PREFETCH
 from cachesim.cache import (
     CAPACITY,
     COMPULSORY,
@@ -37,7 +37,7 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 from traces.reader import Run
 
-#: Sets of the smallest filter worth its time: with fewer it keeps most accesses.
+#: Sets of the smallest filter that saves time: a smaller one keeps most accesses.
 LEAST_FILTER = 16
 
 
@@ -45,34 +45,34 @@ class _Piece(NamedTuple):
     """Some accesses of one stream at one line size."""
 
     lines: np.ndarray
-    labels: np.ndarray
+    access_types: np.ndarray
     ids: np.ndarray
-    next_ids: np.ndarray  # of the lines that a sequential prefetcher would request; else the ids again
+    next_ids: np.ndarray  # of the lines that a sequential prefetcher would request; otherwise equal to ids
     n_ids: int
-    next_use: np.ndarray | None = None  # for opt: number of the next access to the same line; the first here has n_before
-    n_before: int = 0
+    next_use: np.ndarray | None = None  # for opt: number of the next access to the same line
+    n_before: int = 0  # number of the first access here
 
 
 _Task = tuple[Callable[[_Piece], None], _Piece]
 
 
 class _Counting:
-    """A cache of which only misses are asked, LRU with one way or two."""
+    """A cache for which only misses are counted: LRU with one way or two."""
 
     def __init__(self, config: CacheConfig) -> None:
         self._config = config
         self._mask = fast_lru.set_mask(config.n_sets)
         self._tags = fast_lru.empty_tags(config.n_sets, config.ways)
-        self.misses = np.zeros(N_LABELS, np.int64)
+        self.misses = np.zeros(N_ACCESS_TYPES, np.int64)
 
     def step(self, piece: _Piece) -> None:
         """Replay a piece."""
         kernel_of_ways = fast_lru.direct_mapped if self._config.ways == 1 else fast_lru.two_way
-        kernel_of_ways(piece.lines, piece.labels, self._config.n_sets, self._mask, self._tags, self.misses)
+        kernel_of_ways(piece.lines, piece.access_types, self._config.n_sets, self._mask, self._tags, self.misses)
 
 
 class _Exact:
-    """A cache of which everything is asked."""
+    """A cache for which everything is counted."""
 
     def __init__(self, config: CacheConfig, prefetch: Prefetch, *, three_c: bool) -> None:
         self.cache = make_cache(config, 0, three_c=three_c)
@@ -81,23 +81,23 @@ class _Exact:
 
     def step(self, piece: _Piece) -> None:
         """Replay a piece."""
-        lines, labels, ids, next_ids, n_ids, next_use, n_before = piece
+        lines, access_types, ids, next_ids, n_ids, next_use, n_before = piece
         if n_ids > self.cache.facts.size:
             self.cache = grow_cache(self.cache, max(n_ids, 2 * self.cache.facts.size))
         if self._is_optimal:
-            replay_optimal(lines, ids, labels, next_use, n_before, self.cache)
+            replay_optimal(lines, ids, access_types, next_use, n_before, self.cache)
         elif self._trigger:
-            replay_sequential(lines, ids, next_ids, labels, self.cache, self._trigger, self._distance)
+            replay_sequential(lines, ids, next_ids, access_types, self.cache, self._trigger, self._distance)
         else:
-            replay_exact(lines, ids, labels, self.cache)
+            replay_exact(lines, ids, access_types, self.cache)
 
     def row(self, which: int) -> np.ndarray:
-        """Return one row of the counts, per label."""
-        return self.cache.counts[which * N_LABELS : (which + 1) * N_LABELS]
+        """Return one row of the counts, per access type."""
+        return self.cache.counts[which * N_ACCESS_TYPES : (which + 1) * N_ACCESS_TYPES]
 
     @property
     def misses(self) -> np.ndarray:
-        """Misses per label."""
+        """Misses per access type."""
         return self.row(MISSES)
 
 
@@ -106,7 +106,7 @@ def _is_countable(config: CacheConfig) -> bool:
 
 
 class _Job:
-    """One configuration: its cache with prefetches and, for coverage, the same cache without."""
+    """One configuration: its cache with prefetches and, for coverage, the same cache without them."""
 
     def __init__(self, config: CacheConfig, prefetch: Prefetch, *, three_c: bool) -> None:
         self.config = config
@@ -121,7 +121,7 @@ class _Job:
         return self._full is not None or isinstance(self._alone, _Exact)
 
     def tasks(self, demand: _Piece, everything: _Piece) -> list[_Task]:
-        """Return the caches to step, each with its piece of its stream."""
+        """Return the caches to step, each with a piece of its stream."""
         tasks: list[_Task] = []
         if self._full is not None:
             tasks.append((self._full.step, everything))
@@ -130,7 +130,7 @@ class _Job:
         return tasks
 
     def fill(self, result: Result, totals: np.ndarray) -> None:
-        """Write the counts into a result; ``totals`` are the accesses of its stream per label."""
+        """Write the counts into a result; ``totals`` are the accesses of its stream per access type."""
         main = self._full or self._alone
         result.accesses = totals.copy()
         result.misses = main.misses.copy()
@@ -149,17 +149,17 @@ class _Job:
 
 
 class _Group:
-    """Configurations of one line size: they share the lines of a batch, and the filter if there is one.
+    """Configurations of one line size: they share the lines of a batch and the filter, if any.
 
     Parameters
     ----------
     filter_of : int
-        Sets of the exact filter that all of them allow; 0 for none.
+        The number of sets of a filter that is exact for all of them; 0 for no filter.
     """
 
     def __init__(self, source: Source, line_bytes: int, prefetch: Prefetch, jobs: list[_Job], filter_of: int) -> None:
         self.jobs = jobs
-        self.totals = np.zeros(N_LABELS, np.int64)
+        self.totals = np.zeros(N_ACCESS_TYPES, np.int64)
         self.needs_future = any(job.config.policy == "opt" for job in jobs)
         self._futures = NextUse(), NextUse()  # of all accesses, and of the demand accesses alone
         self.n_splits = 0
@@ -170,35 +170,35 @@ class _Group:
         # With first uses kept, the remaining demand accesses are also exact for the demand stream alone.
         self._filter = DirectFilter(filter_of, keep_first_use=self._has_requests) if filter_of else None
 
-    def look_ahead(self, events: Any, labels: np.ndarray) -> None:
-        """Take a batch of events of the first of two passes, which finds when each line is used next."""
-        lines, line_labels = self._lines.accesses(events, labels)
+    def look_ahead(self, events: Any, access_types: np.ndarray) -> None:
+        """Take a batch of events in the first of two passes, which finds the next use of each line."""
+        lines, line_types = self._lines.accesses(events, access_types)
         ids = self._lines.ids(lines)
         self._futures[0].add(ids, self._lines.n_ids)
         if self._has_requests:
-            self._futures[1].add(demand_only(ids, line_labels)[0], self._lines.n_ids)
+            self._futures[1].add(demand_only(ids, line_types)[0], self._lines.n_ids)
 
-    def tasks(self, events: Any, labels: np.ndarray) -> list[_Task]:
+    def tasks(self, events: Any, access_types: np.ndarray) -> list[_Task]:
         """Take a batch of events; return the caches to step."""
         n_before = int(self.totals.sum())
-        lines, line_labels = self._lines.counted(events, labels, self._filter, self.totals)
-        self.n_splits += int(self.totals.sum()) - n_before - labels.size
-        everything = demand = self._piece(lines, line_labels, self._futures[0])
+        lines, line_types = self._lines.counted(events, access_types, self._filter, self.totals)
+        self.n_splits += int(self.totals.sum()) - n_before - access_types.size
+        everything = demand = self._piece(lines, line_types, self._futures[0])
         if self._has_requests:
-            demand = self._piece(*demand_only(lines, line_labels), self._futures[1])
+            demand = self._piece(*demand_only(lines, line_types), self._futures[1])
         return [task for job in self.jobs for task in job.tasks(demand, everything)]
 
-    def _piece(self, lines: np.ndarray, labels: np.ndarray, future: NextUse) -> _Piece:
+    def _piece(self, lines: np.ndarray, access_types: np.ndarray, future: NextUse) -> _Piece:
         ids = next_ids = self._lines.ids(lines) if self._needs_ids else lines
         if self._ahead:
             next_ids = self._lines.ids(lines + np.uint32(self._ahead))
         n_before = future.n_taken
         next_use = future.take(lines.size) if self.needs_future else None
-        return _Piece(lines, labels, ids, next_ids, self._lines.n_ids, next_use, n_before)
+        return _Piece(lines, access_types, ids, next_ids, self._lines.n_ids, next_use, n_before)
 
 
 def _groups(source: Source, jobs: list[_Job], prefetch: Prefetch, *, is_filtered: bool) -> list[_Group]:
-    """Group the jobs by line size, and those that one exact filter serves apart from the others."""
+    """Group the jobs by line size, and separate those that one exact filter serves from the others."""
     by_line: dict[int, list[_Job]] = {}
     for job in jobs:
         by_line.setdefault(job.config.line_bytes, []).append(job)
@@ -214,11 +214,11 @@ def _groups(source: Source, jobs: list[_Job], prefetch: Prefetch, *, is_filtered
 
 
 def check_foreseeable(prefetch: Prefetch) -> None:
-    """Raise a ValueError for a prefetcher in the cache: what it requests is not known before the replay."""
+    """Raise NptraceError for a prefetcher in the cache: its requests are not known before the replay."""
     if prefetch.trigger:
         raise NptraceError(
-            f"opt has to know all accesses beforehand, and {prefetch} requests lines during the replay; use none, traced or "
-            "stack:..., or another policy"
+            f"opt needs all accesses in advance, but {prefetch} issues requests during the replay; use none, traced or "
+            "stack:..., or another replacement policy"
         )
 
 
@@ -233,7 +233,7 @@ def replay(
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Result]:
-    """Replay a trace through every cache and return one result each, in the order of ``configs``.
+    """Replay a trace through every cache and return one result for each, in the order of ``configs``.
 
     Parameters
     ----------
@@ -245,11 +245,11 @@ def replay(
     three_c : bool
         Classify misses as compulsory, capacity or conflict.
     is_filtered : bool
-        Leave out, where that is exact (``cachesim.filter``), what cannot change a cache. The counts do not depend on it.
+        Skip accesses that cannot change a cache (``cachesim.filter``), where that is exact. The counts do not depend on it.
     threads : int, optional
-        Caches replayed at a time; as many as there are cores when None. The counts do not depend on it.
+        The number of caches replayed at a time; by default, the number of cores. The counts do not depend on it.
     progress : callable, optional
-        Called with the number of events done after each batch.
+        Called after each batch with its number of events.
     """
     if isinstance(prefetch, str):
         prefetch = parse_prefetch(prefetch)
@@ -261,19 +261,19 @@ def replay(
     if foreseeing:
         check_foreseeable(prefetch)
         source.check_passes(2)
-        for events, labels in source.events(prefetch):
+        for events, access_types in source.events(prefetch):
             for group in foreseeing:
-                group.look_ahead(events, labels)
+                group.look_ahead(events, access_types)
     running: list[Future[None]] = []
     with thread_pool(threads or os.cpu_count() or 1) as pool:
-        for events, labels in source.events(prefetch):
+        for events, access_types in source.events(prefetch):
             # The next batch is decoded and looked up while the caches step over the last one.
-            tasks = [task for group in groups for task in group.tasks(events, labels)]
+            tasks = [task for group in groups for task in group.tasks(events, access_types)]
             for future in running:
                 future.result()
             running = [pool.submit(step, piece) for step, piece in tasks]
             if progress is not None:
-                progress(labels.size)
+                progress(access_types.size)
         for future in running:
             future.result()
     results = {}

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from cachesim.access import N_LABELS, PREFETCH
+from cachesim.access import N_ACCESS_TYPES, PREFETCH
 from cachesim.config import CacheConfig
 from traces.identity import RunIdentity
 
 
-def _per_label() -> np.ndarray:
-    return np.zeros(N_LABELS, np.int64)
+def _per_type() -> np.ndarray:
+    return np.zeros(N_ACCESS_TYPES, np.int64)
 
 
 def ratio(numerator: float, denominator: float) -> float | None:
@@ -48,11 +48,11 @@ class Result:
     layout: str
     has_3c: bool
     n_rays: int | None = None
-    accesses: np.ndarray = field(default_factory=_per_label)
-    misses: np.ndarray = field(default_factory=_per_label)
-    compulsory: np.ndarray = field(default_factory=_per_label)
-    capacity: np.ndarray = field(default_factory=_per_label)
-    conflict: np.ndarray = field(default_factory=_per_label)
+    accesses: np.ndarray = field(default_factory=_per_type)
+    misses: np.ndarray = field(default_factory=_per_type)
+    compulsory: np.ndarray = field(default_factory=_per_type)
+    capacity: np.ndarray = field(default_factory=_per_type)
+    conflict: np.ndarray = field(default_factory=_per_type)
     n_splits: int = 0
     useful: int = 0
     useless: int = 0

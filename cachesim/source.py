@@ -126,12 +126,12 @@ class DinSource:
                 f"{self.trace.stream.where} has addresses, not pushes, so no stack can be rebuilt for {prefetch}; "
                 "use traced, none or next-line, or replay the run itself"
             )
-        for address, size, labels in self.trace.batches():
-            if prefetch.kind != "traced" and (labels >= PREFETCH).any():
-                is_demand = labels < PREFETCH
+        for address, size, access_types in self.trace.batches():
+            if prefetch.kind != "traced" and (access_types >= PREFETCH).any():
+                is_demand = access_types < PREFETCH
                 size = size if isinstance(size, int) else size[is_demand]
-                address, labels = address[is_demand], labels[is_demand]
-            yield (address, size), labels
+                address, access_types = address[is_demand], access_types[is_demand]
+            yield (address, size), access_types
 
     def check_passes(self, n_passes: int) -> None:
         """Raise a StreamError if the trace comes from a pipe and has to be read more than once."""
@@ -142,11 +142,11 @@ class DinSource:
         return AddressLines(line_bytes)
 
 
-def demand_only(values: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def demand_only(values: np.ndarray, access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the (uint32 value, access type) pairs that are not prefetches."""
-    kept, kept_labels = np.empty(values.size, np.uint32), np.empty(values.size, np.uint8)
-    n = keep_demand(values, labels, kept, kept_labels)
-    return kept[:n], kept_labels[:n]
+    kept, kept_types = np.empty(values.size, np.uint32), np.empty(values.size, np.uint8)
+    n = keep_demand(values, access_types, kept, kept_types)
+    return kept[:n], kept_types[:n]
 
 
 @kernel
@@ -160,11 +160,11 @@ def demand_rows(nodes, kinds, kept):
 
 
 @kernel
-def keep_demand(values, labels, kept, kept_labels):
+def keep_demand(values, access_types, kept, kept_types):
     """Copy the pairs whose access type is not a prefetch; return how many."""
     n = 0
     for i in range(values.size):
         kept[n] = values[i]
-        kept_labels[n] = labels[i]
-        n += labels[i] < PREFETCH
+        kept_types[n] = access_types[i]
+        n += access_types[i] < PREFETCH
     return n

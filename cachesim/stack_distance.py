@@ -1,4 +1,4 @@
-"""Exact LRU stack distances: line ids and labels in, the misses of every fully associative cache out.
+"""Exact LRU stack distances: line ids and access types in, the misses of every fully associative cache out.
 
 The stack distance of an access is the number of different lines used since the last access to its line, that line included:
 1 for an immediate repeat. A fully associative LRU cache of n lines hits exactly the accesses whose distance is at most n.
@@ -72,7 +72,7 @@ class StackDistances:
         """Grow to room for line ids below ``n_ids``."""
         n_slots = -(-min(_SLOTS_PER_LINE * n_ids, _MOST_SLOTS) // _GROUP_SLOTS) * _GROUP_SLOTS
         if n_slots < 2 * n_ids:
-            raise NptraceError(f"{n_ids} lines are more than stack distances are counted for, 2^30; use longer lines")
+            raise NptraceError(f"the trace touches {n_ids} lines; stack distances are limited to 2^30 lines; use longer lines")
         renumber(self._slots)
         counts, of_line = np.zeros((n_ids + 1, 2), np.int64), np.zeros(n_ids, np.uint32)
         counts[: len(self.counts)], of_line[: self._slots.of_line.size] = self.counts, self._slots.of_line
@@ -80,15 +80,15 @@ class StackDistances:
         self._slots = _slots(of_line, n_slots, self._slots.state)
         pack(self._slots)
 
-    def step(self, ids: np.ndarray, labels: np.ndarray, n_ids: int) -> None:
-        """Take the next (id uint32, label uint8) pairs; ids are dense and below ``n_ids``."""
+    def step(self, ids: np.ndarray, access_types: np.ndarray, n_ids: int) -> None:
+        """Take the next (id uint32, access type uint8) pairs; ids are dense and below ``n_ids``."""
         if n_ids > self._slots.of_line.size:
             self._make_room(max(n_ids, 2 * self._slots.of_line.size, 1024))
-        done = count_distances(ids, labels, 0, self._slots, self.counts.reshape(-1))
+        done = count_distances(ids, access_types, 0, self._slots, self.counts.reshape(-1))
         while done < ids.size:
             renumber(self._slots)
             pack(self._slots)
-            done = count_distances(ids, labels, done, self._slots, self.counts.reshape(-1))
+            done = count_distances(ids, access_types, done, self._slots, self.counts.reshape(-1))
 
     def misses(self, n_lines: int) -> tuple[int, int]:
         """Return the misses of demand accesses and of prefetches in the fully associative LRU cache of ``n_lines`` lines."""
@@ -124,20 +124,20 @@ def stack_distances(
     source = as_source(source, layout)
     lines_of = source.lines(line_bytes, 0)
     everything, demand = StackDistances(), StackDistances()
-    for events, labels in source.events(prefetch):
-        lines, line_labels = lines_of.accesses(events, labels)
+    for events, access_types in source.events(prefetch):
+        lines, line_types = lines_of.accesses(events, access_types)
         ids = lines_of.ids(lines)
-        everything.step(ids, line_labels, lines_of.n_ids)
-        demand.step(*demand_only(ids, line_labels), lines_of.n_ids)
+        everything.step(ids, line_types, lines_of.n_ids)
+        demand.step(*demand_only(ids, line_types), lines_of.n_ids)
     return everything, demand
 
 
 def check_one_pass(prefetch: Prefetch) -> None:
-    """Raise a ValueError for a prefetcher that reacts to the cache: one pass cannot serve caches that behave differently."""
+    """Raise NptraceError if the prefetches depend on hits and misses: one pass cannot serve caches that differ in these."""
     if prefetch.trigger:
         raise NptraceError(
-            f"pre-fetch {prefetch} asks for other lines in every cache, so one pass cannot count for many caches; "
-            "use none, traced or stack:..., or replay the caches one by one"
+            f"the prefetches of {prefetch} depend on hits and misses, so one pass cannot serve several caches; "
+            "use none, traced or stack:..., or use npcache replay"
         )
 
 
@@ -172,7 +172,7 @@ def enter_sums(word, live, in_group, to_group):
 
 # Without counting references (_nrt=False): the kernels take arrays out of a tuple.
 @kernel(_nrt=False)
-def count_distances(ids, labels, start, slots, counts):
+def count_distances(ids, access_types, start, slots, counts):
     """Count the distances of ids[start:] until all are done or the slots are used up; return the first not done.
 
     The sums hold for the words that are at least ``NEAR`` before the current one. The current word is kept in a register and
@@ -186,7 +186,7 @@ def count_distances(ids, labels, start, slots, counts):
     live[here] = ZERO
     i = start
     while i < ids.size and slot < n_slots:
-        line_id, is_prefetch = np.uint64(ids[i]), np.uint64(labels[i] >= PREFETCH)
+        line_id, is_prefetch = np.uint64(ids[i]), np.uint64(access_types[i] >= PREFETCH)
         i += 1
         if np.int64(line_id) == last_id:
             counts[COLUMNS + is_prefetch] += 1  # distance 1

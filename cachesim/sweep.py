@@ -117,14 +117,14 @@ def sweep(
     groups = {line_bytes: _Group(source, line_bytes, members, prefetch) for line_bytes, members in by_line.items()}
     running: list[Future[None]] = []
     with thread_pool(threads or os.cpu_count() or 1) as pool:
-        for events, labels in source.events(prefetch):
+        for events, access_types in source.events(prefetch):
             # The next batch is decoded and looked up while the passes over the last one run.
-            steps = [step for group in groups.values() for step in group.steps(events, labels)]
+            steps = [step for group in groups.values() for step in group.steps(events, access_types)]
             for step in running:
                 step.result()
             running = [pool.submit(*step) for step in steps]
             if progress is not None:
-                progress(labels.size)
+                progress(access_types.size)
         for step in running:
             step.result()
     return [groups[config.line_bytes].row(source, config, prefetch) for config in configs]
@@ -134,15 +134,15 @@ def check(config: CacheConfig) -> None:
     """Raise a ValueError for a cache that one pass cannot count."""
     if config.policy != "lru":
         raise NptraceError(
-            f"{config} cannot be swept: one pass counts lru only, where a larger cache holds what a smaller one does; "
-            "sweep lru, or use npcache replay"
+            f"{config} cannot be swept: one pass can count only lru, where a larger cache holds all lines of a smaller one; "
+            "use lru, or npcache replay"
         )
     if config.n_sets & (config.n_sets - 1):
         raise NptraceError(
-            f"{config} has {config.n_sets} sets; a sweep takes powers of two, use npcache replay or another size"
+            f"{config} has {config.n_sets} sets; a sweep needs a power of two; choose another size, or use npcache replay"
         )
     if config.line_bytes < 2:
-        raise NptraceError(f"{config}: a sweep takes lines of 2 B and more")
+        raise NptraceError(f"{config}: a sweep needs lines of at least 2 B; choose a longer line")
 
 
 class _Group:
@@ -153,15 +153,15 @@ class _Group:
         self._needs_ids = any(config.n_sets == 1 for config in configs)
         self._streams = [_Stream(configs) for _ in range(1 if prefetch.kind == "none" else 2)]
 
-    def steps(self, events: Any, labels: np.ndarray) -> list[tuple[Any, ...]]:
+    def steps(self, events: Any, access_types: np.ndarray) -> list[tuple[Any, ...]]:
         """Take a batch of events; return the calls that count it, which may run at the same time."""
-        lines, labels = self._lines.accesses(events, labels)
+        lines, access_types = self._lines.accesses(events, access_types)
         ids = self._lines.ids(lines) if self._needs_ids else lines
-        steps = self._streams[0].steps(lines, ids, labels, self._lines.n_ids)
+        steps = self._streams[0].steps(lines, ids, access_types, self._lines.n_ids)
         for demand in self._streams[1:]:
-            own, own_labels = demand_only(lines, labels)
-            own_ids = own if ids is lines else demand_only(ids, labels)[0]
-            steps += demand.steps(own, own_ids, own_labels, self._lines.n_ids)
+            own, own_types = demand_only(lines, access_types)
+            own_ids = own if ids is lines else demand_only(ids, access_types)[0]
+            steps += demand.steps(own, own_ids, own_types, self._lines.n_ids)
         return steps
 
     def row(self, source: Source, config: CacheConfig, prefetch: Prefetch) -> SweepRow:
@@ -190,16 +190,16 @@ class _Stream:
         self._distances = StackDistances() if len(several) < len(configs) else None
         self.n_demand = self.n_prefetches = 0
 
-    def steps(self, lines: np.ndarray, ids: np.ndarray, labels: np.ndarray, n_ids: int) -> list[tuple[Any, ...]]:
+    def steps(self, lines: np.ndarray, ids: np.ndarray, access_types: np.ndarray, n_ids: int) -> list[tuple[Any, ...]]:
         """Return the calls that count a batch."""
-        n_prefetches = int(np.count_nonzero(labels >= PREFETCH))
+        n_prefetches = int(np.count_nonzero(access_types >= PREFETCH))
         self.n_prefetches += n_prefetches
-        self.n_demand += labels.size - n_prefetches
+        self.n_demand += access_types.size - n_prefetches
         steps: list[tuple[Any, ...]] = []
         if self._set_counts is not None:
-            steps.append((self._set_counts.step, lines, labels))
+            steps.append((self._set_counts.step, lines, access_types))
         if self._distances is not None:
-            steps.append((self._distances.step, ids, labels, n_ids))
+            steps.append((self._distances.step, ids, access_types, n_ids))
         return steps
 
     def misses(self, config: CacheConfig) -> tuple[int, int]:

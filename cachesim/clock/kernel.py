@@ -9,9 +9,32 @@ import numpy as np
 
 from cachesim.clock.calendar import NEVER, enter, lowest_bit, next_cycle, take_word
 from cachesim.clock.state import (
-    BY_LEAF, BY_LEVEL, BY_RAY, T_EVICTED, T_FILLED, T_JOINED, T_LATE, T_MISSES, T_READS, T_REDUNDANT, T_TIMELY,
+    BOX,
+    BY_LEAF,
+    BY_LEVEL,
+    BY_RAY,
+    CYCLES,
+    FREE,
+    HIT,
+    IDLE,
+    LATE,
+    LEAF,
+    MISS,
+    MSHR,
+    PORT,
+    T_EVICTED,
+    T_FILLED,
+    T_JOINED,
+    T_LATE,
+    T_MISSES,
+    T_READS,
+    T_REDUNDANT,
+    T_TIMELY,
+    TEST,
+    TRIANGLE,
+    UNIT,
+    VISIT,
 )  # fmt: skip
-from cachesim.clock.state import BOX, CYCLES, FREE, HIT, IDLE, LATE, LEAF, MISS, MSHR, PORT, TEST, TRIANGLE, UNIT, VISIT
 from cachesim.fast_lru import set_of
 from cachesim.policies import hooks
 from cachesim.policies.machine import FIRST_USE, IN_FLIGHT, LOST, PUSHED_OUT, RESIDENT, UNUSED, first_waiting, stop_waiting

@@ -58,8 +58,8 @@ def dinero_block(result: Result, *, name: str = "l1-ucache", prefetch_rows: bool
     return "".join(text)
 
 
-def _columns(per_label: np.ndarray, mark: int) -> np.ndarray:
-    read, write, fetch, misc = (float(per_label[mark | type_]) for type_ in (READ, WRITE, IFETCH, MISC))
+def _columns(per_type: np.ndarray, mark: int) -> np.ndarray:
+    read, write, fetch, misc = (float(per_type[mark | type_]) for type_ in (READ, WRITE, IFETCH, MISC))
     return np.array([fetch + read + write + misc, fetch, read + write + misc, read, write, misc])
 
 

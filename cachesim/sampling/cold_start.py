@@ -1,14 +1,15 @@
-"""LRU caches from an unknown start: pieces of a trace in, for every cache the misses that are certain and those that are not.
+"""LRU caches from an unknown start: pieces of a trace in; for every cache, the known and the unknown misses out.
 
-A sample of a trace starts in the middle, where nobody knows what the cache holds. For LRU that ignorance is exact: lines found
-since the start lie at the same depth of their set as in the whole run, because what the set held before only lies deeper. So
+A sample of a trace starts in the middle, where the content of the cache is unknown. For LRU, the effect of that is exact: a
+line accessed since the start lies at the same depth of its set as in the whole run, because older content lies deeper. So
 
-- a hit is a hit of the whole run;
-- a miss in a set that holds as many lines as it has ways, all seen since the start, is a miss of the whole run;
-- any other miss is *open*: a hit of the whole run if the line was still there from before (Wood, Hill and Kessler 1991).
+- a hit is a hit in the whole run;
+- a miss in a set that is full of lines accessed since the start is a miss in the whole run: it is *known*;
+- any other miss is *unknown*: in the whole run it is a hit if the line is still in the cache from before (Wood, Hill and
+  Kessler 1991).
 
-Certain and open misses bracket those of the whole run, reference by reference; no warm-up has to be trusted. At the start of
-the trace itself the caches are known to be empty and nothing is open.
+Known and unknown misses bracket the misses of the whole run, reference by reference, without any trust in a warm-up. At the
+start of the trace itself, the caches are empty and nothing is unknown.
 """
 
 from collections.abc import Sequence
@@ -31,32 +32,32 @@ N_MISSES = 3
 
 
 class Counts(NamedTuple):
-    """What one piece of a trace counted.
+    """The counts of one piece of a trace.
 
     Attributes
     ----------
     accesses, prefetches : int
         Lines touched by demand accesses and by prefetch requests.
-    misses, open_ : (n_caches, 3) int64
-        Certain and open misses, by the columns above.
+    misses, unknown : (n_caches, 3) int64
+        Known and unknown misses, by the columns above.
     """
 
     accesses: int
     prefetches: int
     misses: np.ndarray
-    open_: np.ndarray
+    unknown: np.ndarray
 
 
 def check_lru(configs: Sequence[CacheConfig]) -> None:
-    """Raise a ValueError for caches that cannot be replayed from an unknown start, or not together."""
+    """Raise NptraceError if the caches cannot be replayed from an unknown start, or not together."""
     for config in configs:
         if config.policy != "lru":
             raise NptraceError(
-                f"{config} cannot be estimated: under {config.policy} what a cache held before decides for ever after; "
-                "estimate lru, or render the scene and use npcache replay"
+                f"{config} cannot be estimated: under {config.policy}, a cache's first content may affect all later accesses; "
+                "use lru, or render the scene and use npcache replay"
             )
         if config.line_bytes != configs[0].line_bytes:
-            raise NptraceError(f"{config} and {configs[0]} have different lines; estimate one line size at a time")
+            raise NptraceError(f"{config} and {configs[0]} have different line sizes; estimate one line size at a time")
 
 
 class KnownReplay:
@@ -67,7 +68,7 @@ class KnownReplay:
     configs : sequence of CacheConfig
         LRU, of one line size.
     from_start : bool
-        The stretch begins with the trace: the caches are empty, no miss is open.
+        The stretch begins with the trace: the caches are empty, and no miss is unknown.
     """
 
     def __init__(self, configs: Sequence[CacheConfig], *, from_start: bool = False) -> None:
@@ -79,31 +80,31 @@ class KnownReplay:
         self._filter = DirectFilter(filter_sets(configs), keep_first_use=True)
         self._from_start = from_start
 
-    def step(self, lines: np.ndarray, labels: np.ndarray, pool: Executor | None = None) -> Counts:
-        """Take the next (line uint32, label uint8) pairs and return what they counted; a pool steps caches side by side."""
-        n_prefetches = int(np.count_nonzero(labels >= PREFETCH))
-        kept, kept_labels = self._filter.accesses(lines, labels)
-        demand, demand_labels = demand_only(kept, kept_labels)
+    def step(self, lines: np.ndarray, access_types: np.ndarray, pool: Executor | None = None) -> Counts:
+        """Take the next (line uint32, access type uint8) pairs; return their counts. A pool steps several caches at a time."""
+        n_prefetches = int(np.count_nonzero(access_types >= PREFETCH))
+        kept, kept_types = self._filter.accesses(lines, access_types)
+        demand, demand_types = demand_only(kept, kept_types)
         found = np.zeros((len(self._caches), N_MISSES, 2), np.int64)
 
         def one(k: int) -> None:
             n_sets, mask, ways, alone, both = self._caches[k]
-            count_known(demand, demand_labels, n_sets, mask, ways, alone, found[k, ALONE], found[k, REQUESTS])
-            count_known(kept, kept_labels, n_sets, mask, ways, both, found[k, DEMAND], found[k, REQUESTS])
+            count_known(demand, demand_types, n_sets, mask, ways, alone, found[k, ALONE], found[k, REQUESTS])
+            count_known(kept, kept_types, n_sets, mask, ways, both, found[k, DEMAND], found[k, REQUESTS])
 
         for _ in (pool.map if pool else map)(one, range(len(self._caches))):
             pass
-        misses, open_ = found[:, :, 0], found[:, :, 1]
+        misses, unknown = found[:, :, 0], found[:, :, 1]
         if self._from_start:
-            misses, open_ = misses + open_, np.zeros_like(open_)
-        return Counts(lines.size - n_prefetches, n_prefetches, misses, open_)
+            misses, unknown = misses + unknown, np.zeros_like(unknown)
+        return Counts(lines.size - n_prefetches, n_prefetches, misses, unknown)
 
 
 @kernel
-def count_known(lines, labels, n_sets, mask, ways, tags, demand, requests):
-    """Replay lines through an LRU cache; count certain (entry 0) and open (1) misses of demand accesses and of requests.
+def count_known(lines, access_types, n_sets, mask, ways, tags, demand, requests):
+    """Replay lines through an LRU cache; count known (entry 0) and unknown (1) misses of demand accesses and of requests.
 
-    ``tags`` is ``lru.empty_tags``, updated in place.
+    ``tags`` is ``fast_lru.empty_tags``, updated in place.
     """
     for i in range(lines.size):
         line = np.int64(lines[i])
@@ -121,5 +122,5 @@ def count_known(lines, labels, n_sets, mask, ways, tags, demand, requests):
                 found = True
                 break
         if not found:
-            counts = requests if labels[i] >= PREFETCH else demand
+            counts = requests if access_types[i] >= PREFETCH else demand
             counts[1 if carried < 0 else 0] += 1

@@ -1,20 +1,20 @@
-"""Miss rates of a large picture from part of its rays: a source of sample units, caches and a target error in, intervals out.
+"""Miss rates of a large picture from some of its rays: a source of sample units, caches and a target error in, intervals out.
 
-A sample unit, or *unit* in this package, is a stretch of rays that is drawn as a whole; it has nothing to do with the paper's
-prefetch unit.
+A sample unit, or *unit* in this package, is a stretch of positions that is sampled as a whole; it has nothing to do with the
+paper's prefetch unit.
 
-1. The number of accesses is predicted from a few random rays. A run that takes a moment is counted exactly.
-2. A scout of single rays all over the picture says where it changes. Units are sampled in stages, more where it changes more
-   (``sampling.strata``), counted (``sampling.unit_counts``) and extrapolated (``sampling.two_phase``), until every interval is
-   within the target.
-3. Where misses that the long warm-up leaves open take up more than a quarter of the target, the warm-up is doubled; where that
-   does not help, they are first touches of lines, which no sample can tell from re-use at a distance: the cell is flagged.
-4. A flagged cell, a target that would take most of the run, or too few misses to judge: the whole run is counted exactly, and
-   the result gives the reason.
+1. A few random rays predict the number of accesses. A run that takes only a moment is counted exactly.
+2. A scout of single rays all over the picture finds where it changes. Units are sampled in stages, more where it changes more
+   (``sampling.strata``), counted (``sampling.unit_counts``) and extrapolated (``sampling.two_phase``), until every interval
+   meets the target (``sampling.sampler``).
+3. If misses that are unknown after the long warm-up take up more than a quarter of the target, the warm-up is doubled. If that
+   does not help, they are first touches of lines, which no sample can tell from reuse at a distance: the cache is flagged.
+4. If a cache is flagged, the target would take most of the run, or there are too few misses to judge, the whole run is counted
+   exactly, and the result gives the reason.
 
-The accuracy target holds for the miss rates of all caches: demand accesses without prefetching (A) and with (B), and the
-paper's metric of B. All intervals, those of ratios and totals too, hold at once with 95 %; none of a sampled run is 0 or
-infinite: what has no bound is counted exactly.
+The target holds for the miss rates of all caches: demand accesses without prefetching (A) and with (B), and the paper's metric
+of B. All intervals, also those of ratios and totals, hold at once with 95 % confidence. No interval of a sampled run is 0 or
+infinite: a quantity without a bound makes the run exact.
 """
 
 import math
@@ -37,7 +37,7 @@ from traces.identity import RunIdentity
 
 #: Of the intervals that an estimate states, all at once.
 CONFIDENCE = 0.95
-#: Random rays for the prediction of the number of accesses.
+#: Random rays that predict the number of accesses.
 PROBES = 200
 #: Predicted accesses up to which the run is counted exactly: about a second and a half on two cores.
 EXACT_BELOW = 1e8
@@ -45,7 +45,7 @@ EXACT_BELOW = 1e8
 
 @dataclass
 class Cell:
-    """One cache: ``values`` by the names of ``QUANTITIES``; None for one whose denominator is 0."""
+    """One cache: ``values`` by the names of ``QUANTITIES``; None where the denominator is 0."""
 
     config: CacheConfig
     values: dict[str, Interval | None]
@@ -53,7 +53,7 @@ class Cell:
 
 @dataclass
 class Estimated:
-    """What came out for one run.
+    """The result for one run.
 
     Attributes
     ----------
@@ -62,14 +62,14 @@ class Estimated:
     reason : str
         Why the run was counted exactly.
     share : float
-        Positions traced / positions of the run, warm-up and scout included; what is traced again, or was before an
-        interruption, counts once. An exact run traces all.
+        Positions traced / positions of the run, with warm-up and scout. A position that is traced again, or was traced before
+        an interruption, counts once. An exact run traces all.
     seconds : float
-        What this call took, abandoned samples included.
+        Time of this call, with abandoned samples.
     exact_seconds : float
-        What the exact run takes: measured, or for a sampled run predicted at the rate of the sample.
+        Time of the exact run: measured, or for a sampled run predicted from the speed of the sample.
     flags : list
-        What was found to be out of a sample's reach.
+        What a sample cannot settle.
     """
 
     identity: RunIdentity
@@ -130,13 +130,13 @@ def estimate(
     configs : sequence of CacheConfig
         LRU, of one line size.
     seed : int
-        Decides which units are sampled.
+        Determines which units are sampled.
     threads : int, optional
-        As many as there are cores when None. The figures do not depend on it.
+        By default, the number of cores. The figures do not depend on it.
     exact_below : float
         Predicted accesses up to which the run is counted exactly at once.
     resume : Path, optional
-        File that keeps the counts after every stage; one that is there is continued.
+        File in which the counts are stored after every stage; an existing file is continued.
     progress : callable
         Called with the number of positions done.
     """
@@ -146,7 +146,7 @@ def estimate(
     call = _Call(source, configs, target, seed, counts, time.perf_counter())
     predicted = source.probe(min(PROBES, source.n_positions), seed) * source.n_positions
     if predicted <= exact_below:
-        reason = f"about {predicted / 1e6:.0f} million accesses are counted exactly in a moment"
+        reason = f"about {predicted / 1e6:.0f} million accesses take only a moment to count exactly"
         return _exactly(call, reason, [], progress)
     sampler = Sampler(counts, configs, source.row, seed)
     design = Design(weights(*counts.scout(seed), counts.middles), seed)
@@ -180,9 +180,9 @@ class _Call(NamedTuple):
 def _exactly(call: _Call, reason: str, flags: list[str], progress: Callable[[int], object]) -> Estimated:
     """Count the whole run; ``reason`` is why."""
     before = time.perf_counter()
-    sure, misses = call.counts.everything(progress)
+    exact, misses = call.counts.everything(progress)
     end = time.perf_counter()
-    totals = np.concatenate([sure.sum(axis=0), misses.sum(axis=0)])
+    totals = np.concatenate([exact.sum(axis=0), misses.sum(axis=0)])
     intervals = [Interval(value_of(ratio_, totals), 0.0, 0.0) for ratio_ in ratios_of(call.configs)]
     return _result(
         call, "exact", intervals, n_sampled=call.counts.n_units, seconds=end - call.start, exact_seconds=end - before,

@@ -15,11 +15,11 @@ TARGETED = ("demand_miss_rate_without", "demand_miss_rate", "paper_miss_rate")
 QUANTITIES = (
     *TARGETED, "demand_ratio", "paper_ratio", "traffic_ratio", "bytes_from_memory_without", "bytes_from_memory"
 )  # fmt: skip
-#: Quantities of the run. They come before those of the caches.
+#: Quantities of the run; they precede those of the caches.
 OF_THE_RUN = ("accesses_per_ray", "prefetches_per_access")
 
-#: Prefetches per access that a unit may have more than the mean, where none was seen: they come in bursts, where rays run
-#: along a plane of the tree.
+#: How many more prefetches per access than the mean an unsampled unit may have: they come in bursts, where rays run along a
+#: plane of the tree.
 _BURSTS = 4.0
 
 

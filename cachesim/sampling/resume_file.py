@@ -1,6 +1,6 @@
-"""Counts of units in a file: what an estimate has counted -> one NPZ file, and back, checked before anything is believed.
+"""Counts of units in a file: the counts of an estimate -> one NPZ file, and back, with every value checked.
 
-Two estimates of the same run with other targets or seeds may share a file; whatever decides the counts is in its key.
+Estimates of the same run with other targets or seeds may share a file; its key names everything that determines the counts.
 """
 
 import os
@@ -17,7 +17,7 @@ from nptrace_base.errors import NptraceError
 
 
 class Kept(NamedTuple):
-    """What is kept of a run of N units through C caches.
+    """The counts of a run of N units and C caches.
 
     Attributes
     ----------
@@ -26,23 +26,23 @@ class Kept(NamedTuple):
     before : (n,) int64
         Positions of their short warm-up.
     counts : (n, 3) float64
-    certain, open_ : (n, 3 C) int64
+    known, unknown : (n, 3 C) int64
     long_ : (m, 2) int64
-        Unit and long warm-up of what was counted again.
+        Unit and long warm-up of each repeated count.
     settled, bracket : (m, 3 C) int64
     spans : (s, 2) int64
         Stretches traced, of positions.
     looked : (k,) int64
         Single positions traced.
     work : (11,) float64
-        Numbers of ``unit_counts.Work``.
+        Numbers of ``work.Work``.
     """
 
     units: np.ndarray
     before: np.ndarray
     counts: np.ndarray
-    certain: np.ndarray
-    open_: np.ndarray
+    known: np.ndarray
+    unknown: np.ndarray
     long_: np.ndarray
     settled: np.ndarray
     bracket: np.ndarray
@@ -52,16 +52,16 @@ class Kept(NamedTuple):
 
 
 def check_place(path: Path) -> None:
-    """Raise NptraceError if a file could not be written here once there is something to keep."""
+    """Raise NptraceError if a file cannot be written here, before there is anything to store."""
     folder = path.parent
     if not folder.is_dir():
-        raise NptraceError(f"{path} cannot keep the counts: there is no folder {folder}; make it or name another file")
+        raise NptraceError(f"{path} cannot store the counts: there is no folder {folder}; create it or name another file")
     if not os.access(folder, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise NptraceError(f"{path} cannot keep the counts: it may not be written; name another file")
+        raise NptraceError(f"{path} cannot store the counts: it is not writable; name another file")
 
 
 def write(path: Path, key: str, kept: Kept) -> None:
-    """Write the counts to a file, whole or not at all."""
+    """Write the counts to a file, atomically."""
     with whole_file(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, key=np.array(key), **kept._asdict())
 
@@ -72,18 +72,18 @@ def read(path: Path, key: str, n_units: int, n_caches: int, n_positions: int) ->
     Raises
     ------
     NptraceError
-        The file is of another run, or no whole file of counts.
+        The file belongs to another run, or is damaged.
     """
     try:
         with open(path, "rb") as file:
             own, arrays = _arrays(file)
             if own == key:
                 return _checked(Kept(**arrays), n_units, 3 * n_caches, n_positions)
-        reason = "it is of another scene, tree, picture or set of caches"
+        reason = "it belongs to another scene, tree, picture or set of caches"
     except OSError as e:
         reason = str(e.strerror or "it cannot be read")
     except _DAMAGED:
-        reason = "it is damaged, or no file of counts"
+        reason = "it is damaged, or not a file of counts"
     raise NptraceError(f"{path} cannot be resumed from: {reason}; name another file or remove it")
 
 
@@ -110,7 +110,7 @@ def _checked(kept: Kept, n_units: int, n_columns: int, n_positions: int) -> Kept
     """Return the arrays as they should be, or raise a ValueError."""
     n, m = len(kept.units), len(kept.long_)
     shapes = {
-        "units": (n,), "before": (n,), "counts": (n, 3), "certain": (n, n_columns), "open_": (n, n_columns), "long_": (m, 2),
+        "units": (n,), "before": (n,), "counts": (n, 3), "known": (n, n_columns), "unknown": (n, n_columns), "long_": (m, 2),
         "settled": (m, n_columns), "bracket": (m, n_columns), "spans": (len(kept.spans), 2), "looked": (len(kept.looked),),
         "work": (11,),
     }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Looks at a sample: a stage of units and a target in; intervals, and whether they are good enough or what to do next, out."""
+"""Evaluation of a sample: a stage of units and a target in; intervals, and whether they suffice or what to do next, out."""
 
 import math
 from collections.abc import Sequence
@@ -15,25 +15,25 @@ from cachesim.sampling.two_phase import LIKELY, Estimate, Interval, Sample
 from cachesim.sampling.two_phase import estimate as extrapolate
 from cachesim.sampling.unit_counts import ACCESSES, PREFETCHES, UnitCounts
 
-#: Of each look at a sample. More than what is stated, because the first sample that looks good enough ends the search; how
-#: much more was measured (docs/speed-error.md).
+#: Confidence of each interim look at a sample. It is higher than the stated one, to offset optional stopping: the first sample
+#: that looks good enough ends the search. The difference is measured (docs/speed-error.md).
 _OF_A_LOOK = 0.965
 #: Share of the positions that a sample may cost, warm-up included, before the exact run is the better choice.
 MOST_SHARE = 0.6
-#: Misses, certain or open, that a cache must have had in the sample for an interval to be stated.
+#: Misses, known or unknown, that a cache must have in the sample for an interval to be stated.
 LEAST_MISSES = 100
-_LEAST_SECOND = 24  # units counted with a long warm-up, at least
-_LEAST_PART = 1 / 8  # and of the sampled units
-_MOST_WARM, _MOST_WARM_SHARE = 8, 0.15  # rows of warm-up, at most, and positions of them, as a share of the run
-_SETTLED = 0.25  # part of the target that open misses may take up before the warm-up is doubled
-#: Part of the mean variance to expect in a stratum whose neighbours are all alike: what is rare may hide there.
+_LEAST_SECOND = 24  # units counted with a long warm-up, at least ...
+_LEAST_PART = 1 / 8  # ... and as a share of the sampled units
+_MOST_WARM, _MOST_WARM_SHARE = 8, 0.15  # rows of warm-up, at most, and their positions as a share of the run
+_SETTLED = 0.25  # share of the target that unknown misses may take up before the warm-up is doubled
+#: Share of the mean variance to expect in a stratum whose neighbours are all alike: a rare feature may hide there.
 _ANYWHERE = 0.5
-_DECLINE = 1.2  # an error falls with about this power of the number of units: strata grow shorter, neighbours are alike
+_DECLINE = 1.2  # the error falls with about this power of the number of units: shorter strata have units that are more alike
 
 
 @dataclass
 class Look:
-    """What one sample says. ``hopeless`` is why no larger one would do, or would pay; else ``split`` are the strata to cut."""
+    """The result of one sample. ``hopeless``: why no larger sample would suffice or pay; else ``split``: the strata to cut."""
 
     intervals: list[Interval]
     n_sampled: int
@@ -46,7 +46,7 @@ class Look:
 
 
 class Sampler:
-    """Looks at one stage after the other; remembers how long the warm-up and how large the second sample had to be."""
+    """Evaluates one stage after the other; remembers the length of the warm-up and the size of the second sample."""
 
     def __init__(self, counts: UnitCounts, configs: Sequence[CacheConfig], row: int, seed: int) -> None:
         self._counts, self._configs, self._seed = counts, configs, seed
@@ -55,7 +55,7 @@ class Sampler:
         self._may_double = True
 
     def look(self, stage: Stage, target: Target) -> Look:
-        """Count what the stage adds, and judge."""
+        """Count the units that the stage adds, and evaluate the sample."""
         least = self._counts.least_cost(stage.units.tolist(), self._second(stage).size, self._warm)
         if least > MOST_SHARE * self._counts.n_positions:
             share = least / self._counts.n_positions
@@ -71,15 +71,15 @@ class Sampler:
             self._warm *= 2
             again = self._extrapolate(stage)
             if self._unsettled(again[1].intervals, target) > 0.7 * self._unsettled(found.intervals, target):
-                self._warm //= 2  # what is open is not settled by going back further
+                self._warm //= 2  # a longer warm-up does not settle the unknown misses
                 self._may_double = False
                 break
             sample, found = again
         widest, at = max(
             (target.part(found.intervals[at].half, found.intervals[at].value), at) for _, at, _ in self._targeted()
         )
-        # Both samples cost a row or so per unit. The variance of the first falls with the square of its size or faster, that
-        # of the second with its size: at the least cost for a given sum, their sizes are as the root of half the ratio.
+        # Each sample costs about a row per unit. The variance of the first falls with the square of its size or faster, that
+        # of the second with its size: a given sum costs least if their sizes are as the root of half the ratio.
         share = min(float(found.second_share[at]), 0.9)
         self._part = min(max(math.sqrt(share / (1 - share) * self._part / 2), self._part), 1.0)
         second = stage.units[sample.second].tolist()
@@ -107,8 +107,8 @@ class Sampler:
         gain = (within * (sizes**2 * (1 - drawn / sizes) / drawn)[:, None]).max(axis=1)
         order = np.argsort(-gain, kind="stable")
         order = order[sizes[order] > 2]
-        # Half the length of a stratum leaves about a fifth of its variance. Some more than seems needed, as that is a guess,
-        # and as looking often would stop at the first sample that happens to look good.
+        # Half the length of a stratum leaves about a fifth of its variance. Cut some more strata than seem necessary: that is
+        # an estimate, and many interim looks would stop at the first sample that happens to look good.
         left = 1 - 0.8 * np.cumsum(gain[order]) / max(float(gain.sum()), 1e-300)
         enough = int(np.searchsorted(-left, -((0.9 / widest) ** 2))) + 1
         return order[: max(enough, len(sizes) // 8)]
@@ -132,15 +132,15 @@ class Sampler:
         )  # fmt: skip
 
     def _unsettled(self, intervals: Sequence[Interval], target: Target) -> float:
-        """Return the largest part of the target that open misses take up."""
+        """Return the largest share of the target that unknown misses take up."""
         return max(target.part(intervals[at].bracket, intervals[at].value) for _, at, _ in self._targeted())
 
     def _flags(self, sample: Sample, intervals: Sequence[Interval], target: Target) -> list[str]:
         flags = []
         second = sample.second
-        # Of the open misses as many as the second sample found to be misses.
-        share = (sample.settled - sample.certain[second]).sum(axis=0) / np.maximum(sample.open_[second].sum(axis=0), 1)
-        seen = sample.certain.sum(axis=0) + share * sample.open_.sum(axis=0)
+        # The share of unknown misses that the second sample found to be misses.
+        share = (sample.settled - sample.known[second]).sum(axis=0) / np.maximum(sample.unknown[second].sum(axis=0), 1)
+        seen = sample.known.sum(axis=0) + share * sample.unknown.sum(axis=0)
         for config, of_cache in zip(self._configs, seen.reshape(-1, N_MISSES), strict=True):
             n_seen = int(min(of_cache[ALONE], of_cache[DEMAND]))
             if n_seen < LEAST_MISSES:
@@ -150,8 +150,8 @@ class Sampler:
             if target.part(value.bracket, value.value) > 0.5:
                 share = min(value.bracket / LIKELY / value.value, 1.0)
                 flags.append(
-                    f"{config}: after {self._warm} positions of warm-up up to {100 * share:.2g} % of its "
-                    f"{name.replace('_', ' ')} are first touches of lines, or re-use from longer ago, which no sample settles"
+                    f"{config}: after a warm-up of {self._warm} positions, up to {100 * share:.2g} % of its "
+                    f"{name.replace('_', ' ')} may be first touches of lines or older reuse, which no sample can settle"
                 )
                 break
         return flags
@@ -161,7 +161,7 @@ class Sampler:
             return flags[0]
         of_units = f"judged by {stage.units.size} units"
         if not is_stated or not math.isfinite(widest):
-            # Without freedom enough to state an interval there is nothing to judge a larger sample by.
+            # Without enough degrees of freedom for an interval, nothing tells how large a sample is needed.
             return f"not every quantity has a bound, {of_units}" if share > MOST_SHARE / 2 else ""
         needed = share * max(widest, 1.0) ** (1 / _DECLINE)
         if needed > MOST_SHARE:

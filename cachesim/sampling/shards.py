@@ -1,9 +1,9 @@
-"""Fully associative curves from part of the lines: stack distances of the lines whose hash is small, scaled up.
+"""Miss curves of fully associative caches from a share of the lines: stack distances of lines with a small hash, scaled up.
 
-SHARDS (Waldspurger, Park, Garthwaite and Ahmad 2015): a line is followed always or never, by a hash of its number, so between
-two uses of a followed line the followed part of the other lines was used, and the distance is that part of the true one. The
-number of accesses to followed lines differs from its expectation when much used lines are followed by chance, or not;
-these hit, so the difference is added to the smallest distance (SHARDS-adj, Sec. 3.4 there).
+SHARDS (Waldspurger, Park, Garthwaite and Ahmad 2015): a hash of its number decides whether a line is always or never followed.
+So the distance among followed lines is, in expectation, their share of the true one. The number of accesses to followed lines
+differs from its expectation if frequently used lines happen to be followed, or not; these accesses hit, so the difference is
+added to the smallest distance (SHARDS-adj, Sec. 3.4 there).
 """
 
 import numpy as np
@@ -19,19 +19,19 @@ _HASHES = 1 << 24
 
 
 class HashedDistances:
-    """Stack distances of one stream, from part of its lines.
+    """Stack distances of one stream, from a share of its lines.
 
     Parameters
     ----------
     rate : float
-        Part of the lines to follow, 0 < rate <= 1; 1 is exact.
+        Share of the lines to follow, 0 < rate <= 1; 1 is exact.
     seed : int
-        Decides which lines.
+        Determines which lines are followed.
     """
 
     def __init__(self, rate: float, seed: int = 0) -> None:
         if not 0.0 < rate <= 1.0:
-            raise NptraceError(f"a rate of {rate} of the lines cannot be followed; take more than 0 and at most 1")
+            raise NptraceError(f"the share of lines to follow must be above 0 and at most 1, got {rate}; write e.g. 0.01")
         self._threshold = max(round(rate * _HASHES), 1)
         self._rate = self._threshold / _HASHES
         # Far apart for neighbouring seeds: ids are dense, so a small offset would follow nearly the same lines.
@@ -39,13 +39,13 @@ class HashedDistances:
         self._distances = StackDistances()
         self.n_accesses = self.n_followed = 0
 
-    def step(self, ids: np.ndarray, labels: np.ndarray, n_ids: int) -> None:
-        """Take the next (id uint32, label uint8) pairs; ids are dense and below ``n_ids``."""
-        kept, kept_labels = np.empty(ids.size, np.uint32), np.empty(ids.size, np.uint8)
-        n = keep_hashed(ids, labels, self._offset, self._threshold, kept, kept_labels)
+    def step(self, ids: np.ndarray, access_types: np.ndarray, n_ids: int) -> None:
+        """Take the next (id uint32, access type uint8) pairs; ids are dense and below ``n_ids``."""
+        kept, kept_types = np.empty(ids.size, np.uint32), np.empty(ids.size, np.uint8)
+        n = keep_hashed(ids, access_types, self._offset, self._threshold, kept, kept_types)
         self.n_accesses += ids.size
         self.n_followed += int(n)
-        self._distances.step(kept[:n], kept_labels[:n], n_ids)
+        self._distances.step(kept[:n], kept_types[:n], n_ids)
 
     def misses(self, n_lines: int) -> float:
         """Return the misses, of demand accesses and requests together, of an LRU cache of ``n_lines`` lines."""
@@ -53,7 +53,7 @@ class HashedDistances:
         followed_lines = n_lines * self._rate
         whole = min(int(followed_lines), counts.size - 1)
         hits = float(counts[1 : whole + 1].sum())
-        if whole + 1 < counts.size:  # a cache of a part of a line more hits that part of the next distance
+        if whole + 1 < counts.size:  # a fraction of a line hits that fraction of the next distance
             hits += (followed_lines - whole) * float(counts[whole + 1])
         hits += self.n_accesses * self._rate - self.n_followed
         return min(max(self.n_accesses - hits / self._rate, 0.0), float(self.n_accesses))
@@ -71,16 +71,16 @@ def hashed_distances(
     check_one_pass(policy)
     lines_of = source.lines(line_bytes, 0)
     everything, demand = HashedDistances(rate, seed), HashedDistances(rate, seed)
-    for events, event_labels in source.events(policy):
-        lines, labels = lines_of.accesses(events, event_labels)
+    for events, event_types in source.events(policy):
+        lines, access_types = lines_of.accesses(events, event_types)
         ids = lines_of.ids(lines)
-        everything.step(ids, labels, lines_of.n_ids)
-        demand.step(*demand_only(ids, labels), lines_of.n_ids)
+        everything.step(ids, access_types, lines_of.n_ids)
+        demand.step(*demand_only(ids, access_types), lines_of.n_ids)
     return everything, demand
 
 
 @kernel
-def keep_hashed(ids, labels, offset, threshold, kept, kept_labels):
+def keep_hashed(ids, access_types, offset, threshold, kept, kept_types):
     """Copy the pairs whose id has a small hash; return how many."""
     n = 0
     for i in range(ids.size):
@@ -90,6 +90,6 @@ def keep_hashed(ids, labels, offset, threshold, kept, kept_labels):
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         z = z ^ (z >> np.uint64(31))
         kept[n] = ids[i]
-        kept_labels[n] = labels[i]
+        kept_types[n] = access_types[i]
         n += (z >> np.uint64(40)) < np.uint64(threshold)
     return n

@@ -1,14 +1,14 @@
-"""How far a total from some sample units may be off: what those of every stratum add -> a variance no luck makes zero.
+"""The error of a total from sample units: contributions of the units in every stratum -> a variance that chance cannot make 0.
 
-Two units to a stratum say little about it where a run has steps: both may lie on one side. So a variance has three parts, each
-of which is seen by more than the two:
+Where a run has steps, two units say little about a stratum: both may lie on one side of a step. So the variance has three
+parts, each based on more than two units:
 
-- *Neighbours.* A stratum is as uneven as its own units and those of the two strata beside it, and no less than the steps from
-  its mean to theirs allow: a step of height d, somewhere in one of two strata, leaves d^2 / 12 in each (a trend does as well).
-  The sum over all strata is not below that of the strata's own variances, which is right in the mean.
-- *What is like nothing that was sampled.* Of n units drawn, each was like some other; by Laplace's rule one in n + 1 of the
-  others is not. How far it is off its surroundings is taken from the farthest that was seen, and from the value itself.
-- *The second sample.* By the same rule, of m units warmed up again one more is expected to have settled otherwise.
+- *Neighbours.* The variance in a stratum is that of its own units and those of the two strata beside it, and no less than the
+  steps between their means imply: a step of height d somewhere in two strata leaves d^2 / 12 in each (so does a trend). The
+  sum over all strata is at least that of their own variances, which is unbiased.
+- *Unseen kinds of units.* Each of n sampled units resembles some other; by Laplace's rule, one in n + 1 of the remaining units
+  does not. Its deviation is taken from the largest one sampled, and from the value itself.
+- *The second sample.* By the same rule, one of m units counted again is expected to settle differently.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ _STEP = 1 / 12
 
 
 def between_strata(means: np.ndarray, squares: np.ndarray, freedom: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """Return the variance of totals due to the units that were not drawn, (k,) float64.
+    """Return the variance of totals due to the units that are not sampled, (k,) float64.
 
     Parameters
     ----------
@@ -37,14 +37,14 @@ def between_strata(means: np.ndarray, squares: np.ndarray, freedom: np.ndarray, 
 
 
 def unlike_any(distance: np.ndarray, least: np.ndarray, n_units: float) -> np.ndarray:
-    """Return the variance of totals due to units that are like none of those drawn, (k,) float64.
+    """Return the variance of totals due to units unlike any sampled one, (k,) float64.
 
     Parameters
     ----------
     distance : (n, k) float64
         Of the drawn units from the means of their strata, positive.
     least : (k,) float64
-        What such a unit may be off although no unit that was drawn is.
+        The least deviation of such a unit, even if no sampled unit deviates.
     """
     n = len(distance)
     n_unlike = (n_units - n) / (n + 1)
@@ -52,7 +52,7 @@ def unlike_any(distance: np.ndarray, least: np.ndarray, n_units: float) -> np.nd
 
 
 def settled_otherwise(opened: np.ndarray, m: int, n_units: float) -> np.ndarray:
-    """Return the least variance of totals due to a second sample of ``m`` units; ``opened`` is what all open misses add."""
+    """Return the least variance of totals due to a second sample of ``m`` units; ``opened`` is the sum over unknown misses."""
     return (opened / (m + 2)) ** 2 * (1 - m / n_units)
 
 

@@ -1,21 +1,21 @@
-"""Which sample units are drawn: what a scout saw along the run and a seed -> stratified samples, refined where it pays.
+"""The choice of sample units: features seen by a scout along the run and a seed -> stratified samples, refined where it pays.
 
-Strata are runs of neighbouring units with two sampled units each, so that whatever changes slowly along the run, from the top
-of a picture to its bottom, costs no error, and so that no period of the picture can hide between the samples. At first they
-are short where the scout saw much change and long where it saw little. A sample is refined by cutting some strata in two and
-drawing until each half has two again; given how many of a stratum's units fell into a half, they are a random sample of it.
+A stratum is a stretch of neighbouring units, two of which are sampled. So slow changes along the run, from the top of a
+picture to its bottom, cause no error, and no period of the picture can hide between the samples. At first, strata are short
+where the scout saw much change and long where it saw little. To refine a sample, some strata are cut in two, and units are
+drawn until each half has two again; given their number in a half, the sampled units there are a random sample of it.
 
-Which strata are cut is decided by their neighbours, never by their own units: to look closer where a sample looks uneven, and
-be content where it happens to look even, would leave out what is rare unless it was seen.
+The neighbours of a stratum, never its own units, decide whether it is cut. To refine a stratum because its sample varies, and
+to stop where the sample happens not to vary, would miss rare features by design.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-#: Strata of the first stage; with two units each, the least sample from which an interval is stated.
+#: Strata of the first stage; with two units each, the smallest sample with an interval.
 FIRST_STRATA = 32
-#: Weight of a stretch in which the scout saw no change, where 1 is the mean change: scouts miss things.
+#: Weight of a stretch in which the scout saw no change, where 1 is the mean: a scout may miss changes.
 _FLOOR = 0.5
 
 
@@ -71,12 +71,12 @@ class Design:
         self._draw()
 
     def stage(self) -> Stage:
-        """Return the sample as it is."""
+        """Return the present sample."""
         units = np.flatnonzero(self._taken)
         return Stage(self._edges, units, self._priority[units])
 
     def split(self, strata: np.ndarray) -> None:
-        """Cut strata, given by number, in two and draw what they lack."""
+        """Cut the strata with these numbers in two, and draw the units that the halves lack."""
         middles = [
             _cut(self._cumulated, int(self._edges[h]), int(self._edges[h + 1]), 2)[1]
             for h in strata
@@ -91,7 +91,7 @@ class Design:
         lacking = np.minimum(2, high - low) - (n_before[high] - n_before[low])
         for h in np.flatnonzero(lacking > 0):
             a, b = int(low[h]), int(high[h])
-            rng = np.random.default_rng([self._seed, a, b])  # the same whatever was cut before
+            rng = np.random.default_rng([self._seed, a, b])  # independent of earlier cuts
             self._taken[a + rng.permutation(np.flatnonzero(~self._taken[a:b]))[: lacking[h]]] = True
 
 

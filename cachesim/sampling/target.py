@@ -17,9 +17,11 @@ class Target:
     def __post_init__(self) -> None:
         for name in ("relative", "absolute"):
             if not 0.0 <= getattr(self, name) < 1.0:
-                raise NptraceError(f"a target error of {getattr(self, name)} is not below 100 %; write e.g. 2% or 0.05pp")
+                raise NptraceError(
+                    f"a target error of {100 * getattr(self, name):g} % is not below 100 %; write e.g. 2% or 0.05pp"
+                )
         if self.relative == self.absolute == 0.0:
-            raise NptraceError("a target error of 0 is that of the exact run: leave --target-error out and use npcache replay")
+            raise NptraceError("a target error of 0 needs the exact run; render the scene and use npcache replay")
 
     def __str__(self) -> str:
         parts = [f"{100 * self.relative:g}%"] if self.relative else []
@@ -39,7 +41,7 @@ def parse_target(text: str) -> Target:
     for part in re.split(r"[,|]", text):
         match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(%|pp)\s*", part)
         if match is None:
-            raise NptraceError(f"{text!r} is not a target error; write e.g. 2%, 0.05pp, or 2%,0.05pp for whichever is wider")
+            raise NptraceError(f"{text!r} is not a target error; write e.g. 2%, 0.05pp, or 2%,0.05pp for the wider of both")
         if match[2] == "%":
             relative = float(match[1]) / 100
         else:

@@ -1,13 +1,13 @@
-"""Totals of a run from some of its sample units: counts of the sampled units in, ratios with intervals that hold together out.
+"""Totals of a run from some of its sample units: counts of the sampled units in; ratios with joint intervals out.
 
-Two phases. Units of a first sample, drawn in strata of neighbouring units, are counted with hardly any warm-up: some misses
-are certain, others open (``cold_start``). A random part of them is counted again with a long warm-up, which settles nearly all
-that was open. The share of open misses that turn out to be misses is a regression coefficient through the origin, taken from
-the second sample and applied to the first (two-phase regression: Cochran 1977, Sec. 12.6; Saerndal, Swensson and Wretman 1992,
-Ch. 9). What stays open after the long warm-up widens the interval as far as it may go.
+Two phases. The units of a first sample, drawn in strata of neighbouring units, are counted after a very short warm-up: some
+misses are known, others unknown (``cold_start``). A random part of these units is counted again after a long warm-up, which
+settles nearly all unknown misses. The share of unknown misses that prove to be misses is a regression coefficient through the
+origin, taken from the second sample and applied to the first (two-phase regression: Cochran 1977, Sec. 12.6; Saerndal,
+Swensson and Wretman 1992, Ch. 9). Misses that stay unknown widen the interval by as much as they can change the result.
 
-Every quantity is a ratio of products of totals, linearised about the estimate, so numerator and denominator are
-taken from the same units and what they have in common cancels.
+Every quantity is a ratio of products of totals, linearised about the estimate. Numerator and denominator come from the same
+units, so their common error cancels.
 """
 
 import math
@@ -19,16 +19,16 @@ import numpy as np
 
 from cachesim.sampling.spread import between_strata, settled_otherwise, unlike_any
 
-#: Part of the misses open after a long warm-up that is taken to be misses: what was not used for that long is rarely still
-#: there. Measured 0.84 to 0.98 where it matters, in the bunny with its empty margins. The interval covers none to all.
+#: Share of the misses unknown after a long warm-up that counts as misses: a line unused for that long is rarely still in the
+#: cache. Measured 0.84 to 0.98 where it matters, in the bunny with its empty margins. The interval covers 0 to 1.
 LIKELY = 0.9
 
-#: Draws for the joint distribution of all errors: the quantile's own error is 0.5 % of coverage.
+#: Draws for the joint distribution of all errors; the error of the quantile itself is 0.5 % of coverage.
 _DRAWS = 2000
 
 
 class Sample(NamedTuple):
-    """What was counted in the sampled units.
+    """The counts of the sampled units.
 
     Attributes
     ----------
@@ -37,29 +37,29 @@ class Sample(NamedTuple):
     units : (n,) int64
         The sampled units, ascending; in each stratum drawn at random without replacement, at least two or all.
     counts : (n, n_counts) float64
-        What is counted without doubt in each unit: accesses, rays.
-    certain, open_ : (n, n_misses) float64
+        Exact counts of each unit: accesses, prefetches, rays.
+    known, unknown : (n, n_misses) float64
         Misses after the short warm-up.
     second : (m,) int64
-        Places in ``units`` of those counted again, drawn at random from all of them; at least two.
+        Places in ``units`` of the units counted again, drawn at random from all of them; at least two.
     settled, bracket : (m, n_misses) float64
-        Certain and open misses of these after the long warm-up.
+        Known and unknown misses of these after the long warm-up.
     """
 
     edges: np.ndarray
     units: np.ndarray
     counts: np.ndarray
-    certain: np.ndarray
-    open_: np.ndarray
+    known: np.ndarray
+    unknown: np.ndarray
     second: np.ndarray
     settled: np.ndarray
     bracket: np.ndarray
 
 
 class Ratio(NamedTuple):
-    """Product of the totals ``form . totals`` above over the product of those below, for (n_counts + n_misses,) forms.
+    """The product of the totals ``form . totals`` above / the product of those below, with forms of (n_counts + n_misses,).
 
-    ``unlike`` is how far a unit may be off, though none sampled is, in parts of what it adds to the value in the mean.
+    ``unlike``: how far an unsampled unit may deviate even if no sampled one does, as a multiple of a unit's mean contribution.
     """
 
     above: tuple[np.ndarray, ...]
@@ -68,7 +68,7 @@ class Ratio(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """value - half <= truth <= value + half; ``bracket`` is the part of ``half`` that is no chance but unsettled misses."""
+    """value - half <= truth <= value + half; ``bracket`` is the part of ``half`` due to unsettled misses, not to chance."""
 
     value: float
     half: float
@@ -82,14 +82,14 @@ class Estimate(NamedTuple):
     intervals: list[Interval]
     means: np.ndarray  # (n_strata, n_ratios) of the units' contributions to each ratio's error
     variances: np.ndarray  # (n_strata, n_ratios) of them
-    second_share: np.ndarray  # (n_ratios,) part of the variance that is due to the second sample being smaller than the first
+    second_share: np.ndarray  # (n_ratios,) share of the variance because the second sample is smaller than the first
 
 
 def t_quantile(upper: float, df: float) -> float:
     """Return the value that Student's t with ``df`` degrees of freedom exceeds with probability ``upper``.
 
-    Abramowitz and Stegun 1964, eq. 26.7.5; for ``upper`` >= 0.001 within 1 % from 8 degrees of freedom on. Below 4 it is
-    not good enough to state an interval, and infinite.
+    Abramowitz and Stegun 1964, eq. 26.7.5; for ``upper`` >= 0.001 within 1 % from 8 degrees of freedom on. Below 4 degrees
+    it is too inaccurate for an interval, and the result is infinite.
     """
     if df < 4:
         return float("inf")
@@ -104,10 +104,10 @@ def t_quantile(upper: float, df: float) -> float:
 
 
 def joint_tail(correlation: np.ndarray, confidence: float, seed: int) -> float:
-    """Return the tail (one side) to give each of several normal errors so that all hold at once with ``confidence``.
+    """Return the one-sided tail for each of several normal errors with which all bounds hold at once with ``confidence``.
 
-    Between (1 - confidence) / 2, for errors that are one and the same, and that divided by their number (Bonferroni, which
-    assumes nothing): caches of similar size miss on the same lines, so their errors are nearly the same.
+    It lies between (1 - confidence) / 2, for identical errors, and that divided by their number (Bonferroni, without any
+    assumption). Caches of similar size miss on the same lines, so their errors are nearly identical.
     """
     n = len(correlation)
     values, vectors = np.linalg.eigh(correlation)
@@ -129,33 +129,34 @@ def estimate(sample: Sample, ratios: Sequence[Ratio], *, confidence: float = 0.9
     stratum = np.searchsorted(edges, units, side="right") - 1
     sizes, drawn = np.diff(edges).astype(float), np.bincount(stratum, minlength=len(edges) - 1).astype(float)
     if ((drawn < 2) & (drawn < sizes)).any() or sample.second.size < min(2, units.size):
-        raise ValueError("every stratum needs two sampled units, and so does the second sample")
+        raise ValueError("every stratum needs at least two sampled units, and so does the second sample")
     n_units, m = float(edges[-1]), float(sample.second.size)
     weight = (sizes / drawn)[stratum]
 
     own = weight[sample.second, None]
-    open_of_second = np.maximum((own * sample.open_[sample.second]).sum(axis=0), 1e-300)  # without open misses all sums are 0
+    # Without unknown misses all sums are 0.
+    unknown_of_second = np.maximum((own * sample.unknown[sample.second]).sum(axis=0), 1e-300)
     n_counts = sample.counts.shape[1]
 
     def predict(settled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        share = (own * (settled - sample.certain[sample.second])).sum(axis=0) / open_of_second
-        predicted = np.hstack([sample.counts, sample.certain + share * sample.open_])
+        share = (own * (settled - sample.known[sample.second])).sum(axis=0) / unknown_of_second
+        predicted = np.hstack([sample.counts, sample.known + share * sample.unknown])
         missed = np.zeros((sample.second.size, predicted.shape[1]))
         missed[:, n_counts:] = settled - predicted[sample.second, n_counts:]
         return predicted, missed
 
     totals = weight @ predict(sample.settled + LIKELY * sample.bracket)[0]
     bracket = np.zeros_like(totals)
-    bracket[n_counts:] = (weight @ sample.open_) * (own * sample.bracket).sum(axis=0) / open_of_second * LIKELY
+    bracket[n_counts:] = (weight @ sample.unknown) * (own * sample.bracket).sum(axis=0) / unknown_of_second * LIKELY
     values, gradients = zip(*(_linearise(ratio, totals) for ratio in ratios), strict=True)
     gradient = np.array(gradients)
 
     freedom = drawn - 1
-    factor = sizes**2 * (1 - drawn / sizes) / drawn  # 0 for a stratum of which all is known
+    factor = sizes**2 * (1 - drawn / sizes) / drawn  # 0 for a stratum whose units are all sampled
     of_second = np.sqrt(max(n_units**2 * (1 / m - 1 / n_units), 0.0) / max(m - 1, 1))
-    # Of a value of 0 nobody knows how large it may be elsewhere: 1 is a miss, or a prefetch, in every access.
+    # A value of 0 does not tell how large it may be elsewhere; 1 is a miss, or a prefetch, for every access.
     least = np.array([r.unlike * (abs(v) or 1.0) / n_units for r, v in zip(ratios, values, strict=True)])
-    opened = np.abs(gradient[:, n_counts:] @ (weight @ sample.open_))
+    opened = np.abs(gradient[:, n_counts:] @ (weight @ sample.unknown))
 
     def errors(settled: np.ndarray) -> _Errors:
         predicted, missed = predict(settled)
@@ -176,10 +177,10 @@ def estimate(sample: Sample, ratios: Sequence[Ratio], *, confidence: float = 0.9
         df = np.divide(variance**2, spent, out=np.full(len(spent), 1e9), where=spent > 0)
         return _Errors(scaled.T @ scaled + r.T @ r, variance, second, df, means, variances)
 
-    # What is open may all be hits or all be misses: the wider of the two cases.
+    # The unknown references may all be hits or all be misses: take the wider of the two intervals.
     hits, misses = errors(sample.settled), errors(sample.settled + sample.bracket)
     tail = joint_tail(correlation_of(misses.covariance), confidence, seed)
-    # As far as it goes to the side where no open miss is one, for each total apart.
+    # The full distance to the case in which no unknown reference is a miss, for each total separately.
     widths = np.abs(gradient) @ bracket
     intervals = []
     for k, value in enumerate(values):
@@ -190,16 +191,16 @@ def estimate(sample: Sample, ratios: Sequence[Ratio], *, confidence: float = 0.9
 
 
 class _Errors(NamedTuple):
-    covariance: np.ndarray  # (n_ratios, n_ratios) of what was seen
-    variance: np.ndarray  # (n_ratios,) with what luck may have hidden
-    second: np.ndarray  # (n_ratios,) part of it that the second sample has
+    covariance: np.ndarray  # (n_ratios, n_ratios), of the sampled units
+    variance: np.ndarray  # (n_ratios,), with an allowance for what the sample may have missed
+    second: np.ndarray  # (n_ratios,), the part due to the second sample
     df: np.ndarray
     means: np.ndarray  # (n_strata, n_ratios)
     variances: np.ndarray  # (n_strata, n_ratios)
 
 
 def correlation_of(covariance: np.ndarray) -> np.ndarray:
-    """Return the correlations; an error of which nothing was seen has one with itself only."""
+    """Return the correlations; an error without variance correlates with itself only."""
     deviation = np.sqrt(np.diag(covariance))
     is_seen = deviation > 1e-12 * deviation.max(initial=0.0)
     scale = np.where(is_seen, deviation, 1.0)

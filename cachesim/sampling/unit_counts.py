@@ -1,8 +1,8 @@
 """The sample units of an estimate: a source that traces any stretch of a run -> counts of units, and of the whole run exactly.
 
-A unit is counted shortly, after a few positions that warm the caches, what this leaves open counted apart; and some are
-counted again after so many positions that the neighbours of its rays were among them. Counts are kept, so a larger sample, or
-the same sample after an interruption, costs only what is new.
+Each unit is replayed after a short warm-up of a few positions; unknown misses are counted separately. Some units are replayed
+again after a long warm-up, which includes the rays beside those of the unit. Counts are kept, so a larger sample, or the same
+sample after an interruption, only costs its new units.
 """
 
 import hashlib
@@ -22,16 +22,17 @@ from cachesim.lines import NodeLines
 from cachesim.prefetch import KIND_PREFETCH, REQUEST
 from cachesim.sampling import resume_file
 from cachesim.sampling.cold_start import N_MISSES, Counts, KnownReplay, check_lru
+from cachesim.sampling.work import Rate, Work
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 from traces.identity import RunIdentity
 
-#: The short warm-up: so many positions, or twice, four times ... as many, until there were so many accesses for each line of
-#: the largest cache, but no more than a row.
+#: The short warm-up: SHORT positions, doubled until there are ACCESSES_PER_LINE accesses for each line of the largest cache,
+#: but no more than a row.
 SHORT, ACCESSES_PER_LINE = 64, 12
 _CHUNK = 4096  # positions of an exact run traced at a time
 
-#: Columns of what is counted without doubt in a unit.
+#: Columns of the exact counts of a unit.
 N_COUNTS = 3
 ACCESSES, PREFETCHES, RAYS = range(N_COUNTS)
 
@@ -95,6 +96,14 @@ class UnitSource(Protocol):
         """Return a thin sample spread evenly over the run, in groups: places (g,) ascending, accesses; and positions (k,)."""
 
 
+class _Piece(NamedTuple):
+    """The accesses of a stretch."""
+
+    lines: np.ndarray
+    access_types: np.ndarray
+    n_rays: int
+
+
 class _Long(NamedTuple):
     settled: np.ndarray
     bracket: np.ndarray
@@ -106,57 +115,11 @@ class _Counted(NamedTuple):
     settled: _Long
     before: int  # positions of the short warm-up
     span: tuple[int, int]  # positions traced
-    work: "Work"
-
-
-class Rate(NamedTuple):
-    """Sums over calls of one kind, of the accesses x and the CPU seconds y of each."""
-
-    n: float = 0.0
-    x: float = 0.0
-    y: float = 0.0
-    xx: float = 0.0
-    xy: float = 0.0
-
-    @classmethod
-    def of(cls, x: float, y: float) -> "Rate":
-        """Return the sums of one call."""
-        return cls(1.0, x, y, x * x, x * y)
-
-    def plus(self, other: "Rate") -> "Rate":
-        """Return the sums of both."""
-        return Rate(*(a + b for a, b in zip(self, other, strict=True)))
-
-    def seconds(self, x: float, n: float) -> float:
-        """Return the CPU time of ``n`` calls of ``x`` accesses in all, by a line fitted through the calls so far."""
-        spread = self.n * self.xx - self.x**2
-        if spread <= 1e-3 * self.n * self.xx:
-            return x * self.y / max(self.x, 1.0)  # all of one size
-        each = max((self.n * self.xy - self.x * self.y) / spread, 0.0)
-        return x * each + n * max((self.y - each * self.x) / self.n, 0.0)
-
-
-class Work(NamedTuple):
-    """What counting units took: tracing and replaying, and from the start to the end of all."""
-
-    tracing: Rate = Rate()
-    replaying: Rate = Rate()
-    wall_s: float = 0.0
-
-    def plus(self, other: "Work") -> "Work":
-        """Return the sums of both."""
-        return Work(
-            self.tracing.plus(other.tracing), self.replaying.plus(other.replaying), self.wall_s + other.wall_s
-        )  # fmt: skip
-
-    def seconds_of(self, n_accesses: float, n_calls: float) -> float:
-        """Return how long it takes to trace and replay so many accesses once, beside what else this machine does."""
-        cpu = self.tracing.seconds(n_accesses, n_calls) + self.replaying.seconds(n_accesses, n_calls)
-        return cpu * self.wall_s / max(self.tracing.y + self.replaying.y, 1e-9)
+    work: Work
 
 
 class UnitCounts:
-    """Counts of units, made when asked for and kept.
+    """Counts of units, made on demand and kept.
 
     Attributes
     ----------
@@ -205,22 +168,22 @@ class UnitCounts:
         return in_spans + int(np.count_nonzero(reached[last] <= looked))
 
     def scout(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return where the scout looked (g,), and what it saw there, per ray: accesses and different lines (g, 2)."""
+        """Return the scout's places (g,), and per ray the accesses and different lines there (g, 2)."""
         places, stretches, looked = self._source.scout(seed)
         features = np.zeros((len(stretches), 2))
         for feature, stretch in zip(features, stretches, strict=True):
-            labels = np.zeros(stretch.nodes.size, np.uint8)
-            lines, _ = self._lines.accesses(stretch.nodes, labels)
+            access_types = np.zeros(stretch.nodes.size, np.uint8)
+            lines, _ = self._lines.accesses(stretch.nodes, access_types)
             feature[:] = lines.size, np.unique(lines).size
             feature /= max(stretch.n_rays, 1)
         self._looked = np.concatenate([self._looked, looked])
         return places, features
 
     def count(self, units: Iterable[int], second: Iterable[int], warm: int) -> None:
-        """Count the units shortly, and those of ``second`` also with ``warm`` positions before them."""
+        """Count the units after the short warm-up, and those of ``second`` also after ``warm`` positions."""
         again = {int(u) for u in second if (int(u), warm) not in self._long}
         jobs = [(u, warm if u in again else 0) for u in dict.fromkeys(map(int, units)) if u not in self._short or u in again]
-        # The longest jobs first: none is left over at the end for one thread.
+        # The longest jobs first, so that none is left for a single thread at the end.
         jobs.sort(key=lambda job: -job[1])
         start = time.perf_counter()
         with thread_pool(self._threads) as pool:
@@ -233,77 +196,79 @@ class UnitCounts:
         self.work = self.work.plus(Work(wall_s=time.perf_counter() - start))
 
     def cost(self, units: Iterable[int], second: Iterable[int], warm: int) -> int:
-        """Return how many positions are traced to count these units, which were counted before."""
+        """Return how many positions the counts of these units took to trace."""
         length = np.diff(self._starts)
         n = sum(int(length[u]) + self._before[u] for u in units)
         return n + sum(max(min(warm, int(self._starts[u])) - self._before[u], 0) for u in second)
 
     def least_cost(self, units: Sequence[int], n_second: int, warm: int) -> int:
-        """Return how many positions are traced at least to count these units, so many of any with ``warm`` before them."""
+        """Return the least number of positions to trace for these units, ``n_second`` of them after ``warm`` others."""
         return int(np.diff(self._starts)[units].sum()) + n_second * min(warm, self.n_positions)
 
     def table(self, units: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the sure counts (n, 3), certain misses and open misses (n, 3 x caches) of counted units, as float64."""
+        """Return the exact counts (n, 3), known and unknown misses (n, 3 x caches) of counted units, as float64."""
         short = [self._short[int(u)] for u in units]
         return (
             np.array([self._counts[int(u)] for u in units], float),
             np.array([s.misses.ravel() for s in short], float),
-            np.array([s.open_.ravel() for s in short], float),
+            np.array([s.unknown.ravel() for s in short], float),
         )
 
     def long_table(self, units: Sequence[int], warm: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return certain and open misses (m, 3 x caches) of units counted with ``warm`` positions before them."""
+        """Return known and unknown misses (m, 3 x caches) of units counted after ``warm`` positions."""
         found = [self._long[int(u), warm] for u in units]
         return np.array([f.settled for f in found], float), np.array([f.bracket for f in found], float)
 
-    def _accesses(self, *cuts: int) -> list[tuple[np.ndarray, np.ndarray, int]]:
-        """Return (lines, labels, rays) of the positions between the cuts."""
+    def _accesses(self, *cuts: int) -> list[_Piece]:
+        """Return the accesses of the positions between the cuts."""
         pieces = []
         for stretch in self._source.trace(cuts):
-            labels = (stretch.kinds == KIND_PREFETCH).view(np.uint8) * np.uint8(REQUEST)
-            pieces.append((*self._lines.accesses(stretch.nodes, labels), stretch.n_rays))
+            access_types = (stretch.kinds == KIND_PREFETCH).view(np.uint8) * np.uint8(REQUEST)
+            pieces.append(_Piece(*self._lines.accesses(stretch.nodes, access_types), stretch.n_rays))
         return pieces
 
     def _one(self, job: tuple[int, int]) -> _Counted:
         unit, warm = job
-        work = [Work()]
+        work = Work()
 
-        def trace(*cuts: int) -> list[tuple[np.ndarray, np.ndarray, int]]:
+        def trace(*cuts: int) -> list[_Piece]:
+            nonlocal work
             began = time.thread_time()
             pieces = self._accesses(*cuts)
-            work[0] = work[0].plus(Work(tracing=Rate.of(_n_accesses(pieces), time.thread_time() - began)))
+            work = work.plus(Work(tracing=Rate.of(_n_accesses(pieces), time.thread_time() - began)))
             return pieces
 
-        def replay(from_start: bool, before: list[tuple[np.ndarray, np.ndarray, int]]) -> Counts:
+        def replay(from_start: bool, before: list[_Piece]) -> Counts:
+            nonlocal work
             began = time.thread_time()
             known = KnownReplay(self._configs, from_start=from_start)
             known.step(*_joined(before))
-            found = known.step(*own[:2])
+            found = known.step(own.lines, own.access_types)
             n = _n_accesses([*before, own])
-            work[0] = work[0].plus(Work(replaying=Rate.of(n, time.thread_time() - began)))
+            work = work.plus(Work(replaying=Rate.of(n, time.thread_time() - began)))
             return found
 
         start, stop = int(self._starts[unit]), int(self._starts[unit + 1])
         far = self._back(start, warm)
-        # Backwards until enough was accessed: rays that pass the scene by warm nothing, and cost little.
+        # Go back until there are enough accesses: rays that miss the scene warm nothing, and cost little.
         least, low = self._back(start, self._source.row), self._back(start, SHORT)
         *before, own = trace(*dict.fromkeys((low, start)), stop)
         n_before, step = _n_accesses(before), 4 * SHORT
         while low > least and n_before < self._enough:
             low, high = max(self._back(low, step), least), low
             before[:0] = trace(low, high)
-            n_before += before[0][0].size
+            n_before += before[0].lines.size
             step *= 4
         counted = settled = replay(low == 0, before)
         if warm and far < low:
             settled = replay(far == 0, [*trace(far, low), *before])
         return _Counted(
-            np.array([counted.accesses, counted.prefetches, own[2]], float), counted,
-            _Long(settled.misses.ravel(), settled.open_.ravel()), start - low, (min(far, low), stop), work[0],
+            np.array([counted.accesses, counted.prefetches, own.n_rays], float), counted,
+            _Long(settled.misses.ravel(), settled.unknown.ravel()), start - low, (min(far, low), stop), work,
         )  # fmt: skip
 
     def _back(self, position: int, n: int) -> int:
-        """Return the position ``n`` before, or a little more, at which a stretch may start."""
+        """Return a position, ``n`` or a little more before this one, at which a stretch may start."""
         grain = self._source.grain
         return max(position - -(-n // grain) * grain, 0)
 
@@ -326,9 +291,9 @@ class UnitCounts:
                     waiting.append(pool.submit(self._accesses, a, b))
                     if len(waiting) > 2 * self._threads:
                         break
-                lines, labels, n_rays = waiting.popleft().result()[0]
-                found = replay.step(lines, labels, pool)
-                counts[unit] += found.accesses, found.prefetches, n_rays
+                (piece,) = waiting.popleft().result()
+                found = replay.step(piece.lines, piece.access_types, pool)
+                counts[unit] += found.accesses, found.prefetches, piece.n_rays
                 misses[unit] += found.misses.ravel()
                 progress(stop - low)
         self._spans.append((0, self._source.n_positions))
@@ -339,11 +304,13 @@ class UnitCounts:
         return self.work.seconds_of(n_accesses, self.n_positions / _CHUNK)
 
     def _key(self) -> str:
-        said = "\n".join([self._source.key, *map(repr, self._configs), str((SHORT, ACCESSES_PER_LINE)), str(self._starts[:2])])
-        return hashlib.sha256(said.encode()).hexdigest()
+        facts = "\n".join(
+            [self._source.key, *map(repr, self._configs), str((SHORT, ACCESSES_PER_LINE)), str(self._starts[:2])]
+        )
+        return hashlib.sha256(facts.encode()).hexdigest()
 
     def save(self, path: Path) -> None:
-        """Write the counts to a file, whole or not at all."""
+        """Write the counts to a file, atomically."""
         units, long_ = sorted(self._short), sorted(self._long)
         columns = N_MISSES * len(self._configs)
 
@@ -354,12 +321,12 @@ class UnitCounts:
             np.array(units, np.int64), np.array([self._before[u] for u in units], np.int64),
             rows([self._counts[u] for u in units], 3, np.float64),
             rows([self._short[u].misses for u in units], columns, np.int64),
-            rows([self._short[u].open_ for u in units], columns, np.int64),
+            rows([self._short[u].unknown for u in units], columns, np.int64),
             np.array(long_, np.int64).reshape(-1, 2),
             rows([self._long[k].settled for k in long_], columns, np.int64),
             rows([self._long[k].bracket for k in long_], columns, np.int64),
             np.array(self._spans, np.int64).reshape(-1, 2), np.unique(self._looked),
-            np.array([*self.work.tracing, *self.work.replaying, self.work.wall_s]),
+            np.array(self.work.numbers()),
         ))  # fmt: skip
 
     def load(self, path: Path) -> None:
@@ -375,24 +342,24 @@ class UnitCounts:
             return
         found = resume_file.read(path, self._key(), self.n_units, len(self._configs), self.n_positions)
         shape = len(self._configs), N_MISSES
-        for unit, before, counts, certain, open_ in zip(*found[:5], strict=True):
+        for unit, before, counts, known, unknown in zip(*found[:5], strict=True):
             self._counts[int(unit)], self._before[int(unit)] = counts, int(before)
-            self._short[int(unit)] = Counts(int(counts[0]), int(counts[1]), certain.reshape(shape), open_.reshape(shape))
+            self._short[int(unit)] = Counts(int(counts[0]), int(counts[1]), known.reshape(shape), unknown.reshape(shape))
         for (unit, warm), settled, bracket in zip(found.long_, found.settled, found.bracket, strict=True):
             self._long[int(unit), int(warm)] = _Long(settled, bracket)
         self._spans += [(int(low), int(high)) for low, high in found.spans]
         self._looked = np.concatenate([self._looked, found.looked])
-        work = found.work.tolist()
-        self.work = self.work.plus(Work(Rate(*work[:5]), Rate(*work[5:10]), work[10]))
+        self.work = self.work.plus(Work.of_numbers(found.work.tolist()))
 
 
-def _n_accesses(pieces: Sequence[tuple[np.ndarray, np.ndarray, int]]) -> int:
-    return sum(piece[0].size for piece in pieces)
+def _n_accesses(pieces: Sequence[_Piece]) -> int:
+    return sum(piece.lines.size for piece in pieces)
 
 
-def _joined(pieces: Sequence[tuple[np.ndarray, np.ndarray, int]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (lines, labels) of pieces of a trace in one: a step of a replay costs as much as some thousand accesses."""
+def _joined(pieces: Sequence[_Piece]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (lines, access types) of all pieces in one: a step of a replay costs as much as some thousand accesses."""
+    if not pieces:
+        return np.empty(0, np.uint32), np.empty(0, np.uint8)
     if len(pieces) == 1:
-        return pieces[0][:2]
-    lines, labels, _ = zip(*pieces, strict=True) if pieces else ((np.empty(0, np.uint32),), (np.empty(0, np.uint8),), ())
-    return np.concatenate(lines), np.concatenate(labels)
+        return pieces[0].lines, pieces[0].access_types
+    return np.concatenate([piece.lines for piece in pieces]), np.concatenate([piece.access_types for piece in pieces])

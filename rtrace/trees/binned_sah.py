@@ -1,10 +1,10 @@
 """Triangles -> BVH by binned SAH (Wald 2007): a faster build than ``bvh``'s full sweep, for a slightly worse tree.
 
-A node's triangles fall into bins by their centroids, along all three axes in one pass, and the cheapest of the planes between
-bins is taken. Small nodes have few bins: most nodes are small, and sweeping 16 bins for them took most of the build. What is
-partitioned are 32-byte records, a triangle's box and number, not numbers that point to boxes all over memory. Upper corners
-are kept negated, so that a box grows at once: one vector instruction takes the least of each of eight words. All this took a
-third of the time of 16 bins over numbers (0.29 of Embree's build instead of 0.86).
+A node's triangles are sorted into bins by their centroids, along all three axes in one pass; the cheapest plane between bins
+splits the node. Small nodes have few bins: most nodes are small, and sweeping 16 bins for them took most of the build. The
+builder partitions 32-byte records, each a triangle's box and number, instead of numbers that point to boxes all over memory.
+Upper corners are stored negated, so one vector instruction, the minimum of eight words each, grows a box. Together, these
+reduce the time to a third of that of 16 bins over numbers (0.29 of Embree's build instead of 0.86).
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ FEWEST_BINS, PER_BIN = 4, 20  # bins of a node with n triangles: 4 + n / 20, at 
 WORDS = 8  # of a record: lower x, y, z, minus upper x, y, z, number, unused; and of a box, whose last two mean nothing
 
 INF, NOTHING = np.float32(np.inf), np.float32(0.0)
-# Unsigned, as in ``traverse``: what a signed index costs there it costs here.
+# Unsigned, as in ``traverse``: a signed index costs as much here.
 ZERO, ONE, TWO, AXES = (np.uint64(k) for k in range(4))
 #: Where a record or a box of so many words has its fields.
 RECORD_WORDS = np.uint64(WORDS)
@@ -58,7 +58,7 @@ def _on_eight_words(combine: Any, twin: Any) -> Any:
         return signature, generate
 
     def plain(boxes: Any, box: Any, others: Any, other: Any) -> None:
-        # As bits, so that a number among the words stays what it is.
+        # As bits, which keeps the triangle's number among the words intact.
         held, new = (array[WORDS * int(at) : WORDS * (int(at) + 1)] for array, at in ((boxes, box), (others, other)))
         held.view(np.uint32)[:] = twin(held, new).view(np.uint32)
 
@@ -66,7 +66,7 @@ def _on_eight_words(combine: Any, twin: Any) -> Any:
 
 
 def _least(builder: Any, held: Any, new: Any) -> Any:
-    # Not a comparison and a choice: LLVM makes a masked store of these, and the build took 1.5 times the time.
+    # Not a comparison with a selection: LLVM turns it into a masked store, and the build took 1.5 times the time.
     name = f"llvm.minnum.v{WORDS}f32"
     function = builder.module.globals.get(name)
     if function is None:
@@ -74,8 +74,8 @@ def _least(builder: Any, held: Any, new: Any) -> Any:
     return builder.call(function, [held, new], fastmath=("nnan",))
 
 
-# In LLVM's own instructions, because Numba's loops over so few words do not become vectors. All or nothing: a vector read from
-# places that were just written one by one waits until the processor has put them together.
+# In LLVM's own instructions, because Numba does not vectorise loops over so few words. All of them or none: a vector load from
+# words that were just stored one by one stalls until the stores are complete.
 #: ``grow(boxes, i, others, j)``: let box i hold box j of others.
 grow = _on_eight_words(_least, np.fmin)
 #: ``copy(boxes, i, others, j)``: let box or record i be j of others.
@@ -200,7 +200,7 @@ def make_records(triangles, records, numbers, box):
         for k in range(AXES):
             p, q, r = triangles[first + k], triangles[first + SECOND + k], triangles[first + THIRD + k]
             low, high = (p, q) if p < q else (q, p)
-            # Added to 0, because -0 has no place in a least of several numbers: which zero it is would be left to the machine.
+            # Added to 0, which makes +0 of -0: the minimum of both zeros would depend on the machine.
             records[b + LOWER + k] = NOTHING + (r if r < low else low)
             records[b + NEGATED_UPPER + k] = NOTHING - (r if r > high else high)
         numbers[b + NUMBER], numbers[b + UNUSED] = i, ZERO
@@ -304,8 +304,8 @@ def build_binned(records, numbers, box, nodes, words, prims, rules):
             _centroid_bounds(records, start, end, least, scale, n_bins)
             _fill_bins(records, start, end, least, scale, n_bins, bins, counts, empty)
             cost, axis, cut = _cheapest_plane(bins, counts, n_bins, np.int64(count), sides, right_area, empty)
-        # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
-        # cost of "no split", times nothing, is no split either.)
+        # Without area, all children are hit as often as the node itself, so no split pays. The comparison is also false for
+        # the NaN of an infinite cost times 0.
         if not trav * area + cost < area * count and count <= max_leaf:
             for i in range(start, end):
                 prims[i] = numbers[i * RECORD_WORDS + NUMBER]

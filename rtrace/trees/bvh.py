@@ -33,7 +33,7 @@ from rtrace.trees.tree import (
 
 BOX_FLOATS = 6  # lower x, y, z, upper x, y, z
 _INF = np.float32(np.inf)
-#: The box of nothing: grown to hold another one, it is that one.
+#: The empty box: its union with another box is that box.
 _EMPTY = (_INF, _INF, _INF, -_INF, -_INF, -_INF)
 
 
@@ -47,7 +47,7 @@ def _half_area(box):
 
 @inlined
 def _grown(box, boxes, triangle):
-    """Return a box made larger to hold that of a triangle."""
+    """Return the union of a box and the box of a triangle."""
     x0, y0, z0, x1, y1, z1 = box
     b = BOX_FLOATS * triangle
     lower = min(x0, boxes[b]), min(y0, boxes[b + 1]), min(z0, boxes[b + 2])
@@ -102,7 +102,7 @@ def _longest_axis(box):
 
 @kernel
 def _partition(ids, start, end, goes_right, scratch):
-    """Stable partition of ids[start:end]: those that stay left first."""
+    """Partition ids[start:end], keeping the order: first the ones that stay left."""
     n_right, at = 0, start
     for i in range(start, end):
         if goes_right[ids[i]]:
@@ -176,8 +176,8 @@ def _build(orders, boxes, nodes, words, prims, n, rules):
         cost, axis, position = np.inf, 0, -1
         if count > 1 and count > min_leaf:
             cost, axis, position = _sweep_split(orders, n, start, end, boxes, right_area, _longest_axis(box))
-        # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
-        # cost of "no split", times nothing, is no split either.)
+        # Without area, all children are hit as often as the node itself, so no split pays. The comparison is also false for
+        # the NaN of an infinite cost times 0.
         if not trav * area + cost < area * count and count <= max_leaf:
             prims[start:end] = orders[start:end]
             words[w + CHILD], words[w + META] = start, count << AXIS_BITS | LEAF_AXIS
@@ -233,7 +233,10 @@ def build_bvh(
     Manta's DynBVH (2012): costs 1 and 1, a pair is split along the longest axis, leaves list ascending numbers.
     """
     if triangles.dtype != np.float32 or triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not len(triangles):
-        raise NptraceError(f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}")
+        raise NptraceError(
+            f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}; "
+            "use vertices.astype(np.float32)[faces]"
+        )
     check_finite(triangles)
     rules = leaf_rules(c_trav, c_isect, min_leaf, max_leaf)
     n = len(triangles)

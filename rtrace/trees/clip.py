@@ -1,8 +1,8 @@
 """Perfect splits: a triangle and a cell -> the bounds of the triangle's part on either side of a plane through the cell.
 
-Positions go in and come out as *ranks*: the float32 as an integer of the same order (a float32 has a sign and a
-magnitude, a rank is plus or minus that magnitude). So -0.0 and +0.0 are one rank, the float32 next to x is rank + 1, and
-comparing, sorting and rounding outward are integer arithmetic.
+Positions are passed and returned as *ranks*: integers in the same order as the float32 numbers (a float32 has a sign and a
+magnitude, a rank is plus or minus that magnitude). So -0.0 and +0.0 have the same rank, the float32 after x has rank + 1, and
+comparisons, sorting and outward rounding are integer arithmetic.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,8 @@ ZERO, ONE, AXES = (np.uint64(k) for k in (0, 1, 3))
 POINT, BOX, CORNERS = AXES, np.uint64(6), np.uint64(9)
 SECOND, THIRD, UPPER = POINT, np.uint64(6), POINT
 
-#: Room for a polygon, in numbers. A convex one has 3 vertices and one more per plane that cuts it (6 of them); rounding can
-#: bend a thin one so that a plane cuts it more than twice, which adds half its vertices at most: 3 * 1.5**6 < 36.
+#: Numbers of the largest polygon. A convex one has 3 vertices and one more for each of the 6 planes that cut it. Rounding can
+#: bend a thin one so that a plane cuts it more than twice, which adds at most half its vertices: 3 * 1.5**6 < 36.
 POLYGON = np.uint64(3 * 36)
 
 
@@ -107,7 +107,7 @@ def _include(points, a, box):
 def _write_bounds(points, box, slack, lo, hi, out, at):
     """Write the ranks of points[box] and points[box + 3], a lower and an upper bound, moved outward, kept inside lo and hi.
 
-    Where nothing is left (by rounding: clipped to another cell, the triangle just reached this one) lo and hi stand.
+    If nothing is left (by rounding: clipped to another cell, the triangle just reached this one), lo and hi remain.
     """
     lower, upper = points[box], points[box + UPPER]
     if lower <= upper:
@@ -158,7 +158,7 @@ def split_bounds(vertices, triangle, cell, plane, bounds, at, points, slack=0.0)
     for i in range(n):
         x = points[first + POINT * i + axis]
         lowest, highest = min(lowest, x), max(highest, x)
-    # By rounding a part may have no point on its side: then it has the nearest ones, so that its bounds stay near it.
+    # Rounding may leave a part without a point on its side. Then it gets the nearest points, so that its bounds stay near it.
     low_plane, high_plane = position - slack, position + slack
     top_of_below, bottom_of_above = max(high_plane, lowest), min(low_plane, highest)
     crossing = POLYGON + POLYGON

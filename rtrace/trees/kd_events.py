@@ -13,8 +13,8 @@ from nptrace_base.jit import kernel
 from rtrace.trees.clip import PartBounds
 
 #: An event is one int64: rank of the position << 32 | kind << 30 | triangle. Sorted, what ends at a position comes before
-#: what lies in it, and that before what starts there.
-END, PLANAR, START = 0, 1 << 30, 2 << 30
+#: what lies in it, and that before what starts there. NumPy's integers, because Numba compiles a kernel for each literal.
+END, PLANAR, START = np.int64(0), np.int64(1 << 30), np.int64(2 << 30)
 KIND = 3 << 30
 TRIANGLE = (1 << 30) - 1
 PLACE = -1 << 32

@@ -1,9 +1,9 @@
 """Triangles -> kd-tree: the exact surface area heuristic in O(N log N), every triangle clipped to its cell ("perfect splits").
 
-A cell holds, for each axis, the sorted *events* of its triangles: where each one starts, ends, or lies flat. One sweep
-over them finds the cheapest plane. The events of triangles on one side of it are already sorted; only those of triangles
-cut by it are made anew, sorted and merged in. Cells wait on a stack in one arena, the lower child on top, so nodes are
-numbered depth-first and nothing is ever sorted again.
+A cell has, for each axis, the sorted *events* of its triangles: where each one starts, ends, or lies flat. One sweep over
+them finds the cheapest plane (``kd_sweep``). The events of triangles on one side of it are already sorted; only those of
+triangles that it cuts are computed again, sorted and merged in (``kd_events``). Cells wait on a stack in one arena, the lower
+child on top, so nodes are numbered depth-first.
 
 Notes
 -----
@@ -54,7 +54,7 @@ from rtrace.trees.tree import (
 
 _MAX_REFS = 2**31 - 1  # a leaf's n_prims has 30 bits, its first primitive 32
 
-# The state of a build, and what it may run out of.
+# The state of a build, and the arrays that may be too short.
 _WAITING, _NODES, _REFS, _PENDING, _DEEPEST = range(5)
 _DONE, _OUT_OF_NODES, _OUT_OF_PRIMS, _OUT_OF_EVENTS = range(4)
 
@@ -62,13 +62,13 @@ _DONE, _OUT_OF_NODES, _OUT_OF_PRIMS, _OUT_OF_EVENTS = range(4)
 class _Cells(NamedTuple):
     """The stack of cells that wait to be split, flat arrays. The top one's events are the last in the arena."""
 
-    node: np.ndarray  # int64, (room,)
+    node: np.ndarray  # (room,) int64
     level: np.ndarray
     n_refs: np.ndarray
-    ceiling: np.ndarray  # the references there may be when all of its subtree is built
-    begin: np.ndarray  # int64, (3 room,): its events are events[axis, begin:end]
+    ceiling: np.ndarray  # the most references when its whole subtree is built
+    begin: np.ndarray  # (3 room,) int64: its events are events[axis, begin:end]
     end: np.ndarray
-    box: np.ndarray  # float64, (6 room,): lower and upper corner
+    box: np.ndarray  # (6 room,) float64: lower and upper corner
 
 
 class _Scratch(NamedTuple):
@@ -185,12 +185,36 @@ def _build(vertices, events, tree, cells, scratch, limits, state):
         tree.uints[KD_WORDS * node + KD_META] = child << AXIS_BITS | axis
         state[_WAITING] += 1
         state[_NODES] += 2
-        # Past the first half, what may be added is shared: else a fan uses it up on one side, the other stays unsplit.
+        # Beyond the first half, the children share what may be added: else a fan uses it up on one side only.
         share = np.int64((ceiling[cell] - n_refs) * (n_below / (n_below + n_above)))
         ceiling[cell + 1] = max(n_refs + share, min(ceiling[cell], max_refs // 2))
         state[_PENDING] = n_refs
         state[_DEEPEST] = max(state[_DEEPEST], level + 1)
     return _DONE
+
+
+def _check_options(n, empty_bonus, max_level, max_refs):
+    """Raise NptraceError for the first option that is out of range; ``leaf_rules`` checks costs and leaf sizes."""
+    rules = (
+        ("the number of triangles", n, 1 <= n <= TRIANGLE, "1 to 2**30 - 1; split the scene"),
+        ("empty_bonus", empty_bonus, 0 < empty_bonus <= 1, "above 0 and at most 1; 1 is no bonus"),
+        ("max_level", max_level, 0 <= max_level <= 65535, "0 to 65535, e.g. 511"),
+        ("max_refs", max_refs, n <= max_refs <= _MAX_REFS, f"from the number of triangles, {n}, to 2**31 - 1"),
+    )
+    for name, given, is_kept, rule in rules:
+        if not is_kept:
+            raise NptraceError(f"{name} must be {rule}; got {given}")
+
+
+def _make_scratch(n: int) -> _Scratch:
+    """Return scratch for n triangles."""
+    int64, int32 = partial(np.empty, dtype=np.int64), partial(np.empty, dtype=np.int32)
+    bounds = PartBounds(whole=int32(6 * n), below=int32(6 * n), above=int32(6 * n))
+    straddlers = Straddlers(slot=int32(n), listed=int32(n), bounds=bounds)
+    parted = Parted(
+        kept=int64((3, 2 * n)), cut=int64((3, 2 * n)), n_kept=int64(3), n_cut=int64(3), end_above=int64(3)
+    )  # fmt: skip
+    return _Scratch(np.empty(n, np.uint8), straddlers, parted, int64(2 * n), int64(2 * n), np.empty(3 * POLYGON))
 
 
 def _grown(array):
@@ -246,15 +270,7 @@ def build_kdtree(
     if max_refs is None:
         max_refs = min(16 * n + 1000, _MAX_REFS)
     leaf = leaf_rules(c_trav, c_isect, min_leaf, max_leaf)
-    rules = (
-        ("the number of triangles", n, 1 <= n <= TRIANGLE, "1 to 2**30 - 1; split the scene or drop it"),
-        ("empty_bonus", empty_bonus, 0 < empty_bonus <= 1, "above 0 and at most 1; 1 is no bonus"),
-        ("max_level", max_level, 0 <= max_level <= 65535, "0 to 65535, e.g. 511"),
-        ("max_refs", max_refs, n <= max_refs <= _MAX_REFS, f"from the number of triangles, {n}, to 2**31 - 1"),
-    )
-    for name, given, is_kept, rule in rules:
-        if not is_kept:
-            raise NptraceError(f"{name} must be {rule}; got {given}")
+    _check_options(n, empty_bonus, max_level, max_refs)
     triangles = np.ascontiguousarray(triangles)
     check_finite(triangles)
     lower, upper = triangle_boxes(triangles)
@@ -263,19 +279,14 @@ def build_kdtree(
     events, counts = first_events(lower, upper)
     del lower, upper
     room = int(max_level) + 2
-    int64, int32 = partial(np.empty, dtype=np.int64), partial(np.empty, dtype=np.int32)
+    int64 = partial(np.empty, dtype=np.int64)
     cells = _Cells(
         node=int64(room), level=int64(room), n_refs=int64(room), ceiling=int64(room),
         begin=int64(3 * room), end=int64(3 * room), box=np.empty(6 * room),
     )  # fmt: skip
     cells.node[0], cells.level[0], cells.n_refs[0], cells.ceiling[0] = 0, 0, n, max_refs
     cells.begin[:3], cells.end[:3], cells.box[:6] = 0, counts, extent.bounds.reshape(6)
-    bounds = PartBounds(whole=int32(6 * n), below=int32(6 * n), above=int32(6 * n))
-    straddlers = Straddlers(slot=int32(n), listed=int32(n), bounds=bounds)
-    parted = Parted(
-        kept=int64((3, 2 * n)), cut=int64((3, 2 * n)), n_kept=int64(3), n_cut=int64(3), end_above=int64(3)
-    )  # fmt: skip
-    scratch = _Scratch(np.empty(n, np.uint8), straddlers, parted, int64(2 * n), int64(2 * n), np.empty(3 * POLYGON))
+    scratch = _make_scratch(n)
     limits = leaf.trav, float(empty_bonus), int(max_level), int(max_refs), extent.limit, leaf.min_leaf, leaf.max_leaf
     nodes, prims = np.empty(16 * n + 64, np.uint32), np.empty(8 * n + 64, np.int32)
     state = np.array([1, 1, 0, n, 0], np.int64)

@@ -1,4 +1,4 @@
-"""Triangles -> the *strays* among them, far out of the scene, and the room that a tree leaves around each of these.
+"""Triangles -> the *strays* among them, far outside the scene, and the margin that a tree adds around each of these.
 
 Rounding moves a hit by a share of its triangle's distance (``intersect``). A ray's margin is that share of the *core*, the
 box of all triangles but the strays; what a stray needs beyond that is added to the stray itself: its box, and its part in
@@ -14,18 +14,18 @@ from nptrace_base.jit import kernel
 from rtrace.intersect import PAD
 from rtrace.trees.tree import triangle_boxes
 
-#: A stray has a coordinate more than so many times as large as the largest of a triangle near the origin: of the sixteenth
-#: of the triangles that are nearest, the farthest. The margin is 2^-44 of the core, so then 2^-28 of that.
+#: A stray has a coordinate more than FAR times the reference: of the sixteenth of the triangles that is nearest to the origin,
+#: the largest coordinate. The margin is 2^-44 of the core, so at most 2^-28 of the reference.
 FAR, NEAR = 2.0**16, 16
 #: Share of a stray's largest coordinate that lies around it. With the corners V of the triangle, the farthest corner c of
 #: the core, |c| <= |V|, and a slope of at most 1, V_k - o_k is at most 2 |V| + |c_k - o_k|: the first part, along both axes
 #: that count, is 4 |V| times the 2^-46 of ``intersect.PAD``, the second is in the ray's margin. Half of this.
 SLACK = 2.0**-43
 
-#: A margin above this share of the median triangle's width is worth a warning: visits are no longer those of the geometry.
+#: A margin above this share of the median triangle's width gets a warning: visits then differ from those of the geometry.
 LARGE = 2.0**-6
 
-_SAMPLE = 4096  # triangles looked at to tell what is near
+_SAMPLE = 4096  # triangles that give the reference
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -35,9 +35,9 @@ class Extent(NamedTuple):
     Attributes
     ----------
     bounds, core : (2, 3) float32
-        Lower and upper corner of the box of all triangles, with the room around strays; and of those that are no strays.
+        Lower and upper corner of the box of all triangles, with the margins of strays; and of those that are not strays.
     limit : float
-        Largest coordinate of a triangle that is no stray; infinite when there are none.
+        Largest coordinate of a triangle that is not a stray; infinite if there are no strays.
     strays : (m,) int64
         Their numbers.
     """
@@ -50,7 +50,7 @@ class Extent(NamedTuple):
 
 @kernel
 def slack_of(corners, triangle, limit):
-    """Return how much room there is around a triangle of a flat array: 0 unless it is a stray."""
+    """Return the margin around a triangle of a flat array: 0 unless it is a stray."""
     largest, v = 0.0, np.uint64(9) * np.uint64(triangle)
     for k in range(np.uint64(9)):
         largest = max(largest, abs(np.float64(corners[v + k])))
@@ -58,17 +58,17 @@ def slack_of(corners, triangle, limit):
 
 
 def find_limit(triangles: np.ndarray, bounds: np.ndarray) -> float:
-    """Return the largest coordinate of a triangle that is no stray, infinity if none is; ``bounds`` is the box of all."""
+    """Return the largest coordinate of a triangle that is not a stray, infinity without strays; ``bounds``: the box of all."""
     farthest = float(np.abs(bounds).max())
     size = np.abs(triangles[:: max(1, len(triangles) // _SAMPLE)]).max(axis=(1, 2))
     size = np.sort(size[size > 0])
     limit = FAR * float(size[len(size) // NEAR]) if len(size) else np.inf
-    # Beyond the largest float32 there is no room for a box: then every ray has the margin of the whole scene.
+    # A box cannot reach beyond the largest float32: then every ray has the margin of the whole scene.
     return limit if limit < farthest < _LARGEST else np.inf
 
 
 def make_room(triangles: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Extent:
-    """Return where the triangles are; the boxes of strays, rows of ``lower`` and ``upper``, (n, 3) float32, become larger."""
+    """Return where the triangles are; add margins to the boxes of strays, rows of ``lower`` and ``upper``, (n, 3) float32."""
     bounds = np.stack((lower.min(axis=0), upper.max(axis=0)))
     limit = find_limit(triangles, bounds)
     if limit == np.inf:
@@ -85,7 +85,7 @@ def make_room(triangles: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Ex
 
 
 def margin_note(triangles: np.ndarray, bounds: np.ndarray, eye: tuple[float, float, float]) -> str | None:
-    """Return what a user must know when the margin of rays from the eye is no longer small beside the triangles, else None.
+    """Return a warning if the margin of rays from the eye is not small compared with the triangles, otherwise None.
 
     ``bounds`` is the box of all triangles, (2, 3) float32.
     """
@@ -98,7 +98,7 @@ def margin_note(triangles: np.ndarray, bounds: np.ndarray, eye: tuple[float, flo
         return None
     return (
         f"boxes and planes are tested with a margin of up to {margin:.3g}, and half of the triangles are no wider than "
-        f"{width:.3g}: rays visit nodes that they pass by; move the camera nearer, or leave out what is so far away"
+        f"{width:.3g}: rays visit nodes that they only pass by; move the camera closer, or remove the distant triangles"
     )
 
 

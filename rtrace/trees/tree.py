@@ -46,7 +46,7 @@ PAIR_WORDS, FACE_WORDS, LINKS, LINK_WORDS = BVH_PAIR.itemsize // 4, 6, 18, 2
 
 
 class Tree(NamedTuple):
-    """One acceleration structure over triangles; the arrays are C-contiguous and not to be written to.
+    """One acceleration structure over triangles; the arrays are C-contiguous and must not be modified.
 
     Attributes
     ----------
@@ -61,13 +61,13 @@ class Tree(NamedTuple):
     triangles : (n_triangles, 3, 3) float32
         The scene's triangles, in their own order.
     bounds : (2, 3) float32
-        Lower and upper corner of the box of all triangles, with the room around strays.
+        Lower and upper corner of the box of all triangles, with the margins of strays.
     core : (2, 3) float32
-        The same of the triangles that are no strays (``rtrace.trees.strays``): what margins are a share of.
+        The same of the triangles that are not strays (``rtrace.trees.strays``); margins are a share of it.
     max_level : int
         Level of the deepest node, root 0: also the most entries a traversal stack can hold.
     params : dict
-        What the builder was asked for, as written into a run's footer.
+        The builder's parameters, as in a run's footer.
     pairs : (n_pairs,) BVH_PAIR or None
         In the format ``bvh64``: the nodes as kernels read them. Nodes 2k - 1 and 2k are pair k, the root is alone in pair 0.
     """

@@ -1,9 +1,9 @@
 """Trees kept in the user's cache: a scene and builder parameters -> the tree, built once.
 
-A file is named by a hash of all that decides the tree: the triangles, the kind, the parameters and the builders' sources.
-It appears whole (written under another name and renamed), so two processes at once do no harm; a file that cannot be read
-is built again. Only a folder that nobody else may write to is used, because kernels believe the numbers of a tree. The
-oldest files go when the folder grows beyond ``MAX_BYTES``.
+The name of a file is a hash of everything that determines the tree: the triangles, the kind, the parameters and the builders'
+sources. Files are written atomically, so concurrent processes are safe; a damaged file is replaced. The folder must be
+writable by this user alone, because kernels trust the numbers of a tree. When the folder exceeds ``MAX_BYTES``, the oldest
+files are deleted.
 """
 
 import hashlib
@@ -49,9 +49,9 @@ def _tree_of(kind: str) -> str:
 
 
 def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: Any) -> Tree:
-    """Return the scene's tree, from the cache (``folder``, or the user's) if it was built before; build and keep it otherwise.
+    """Return the scene's tree from the cache (``folder``, or the user's); build and store it if it is not there.
 
-    Parameters as ``build_tree``. If the cache cannot be used, the tree is not kept.
+    Parameters as ``build_tree``. If the cache is not usable, the tree is not stored.
     """
     folder = folder or user_cache_path("nptrace") / "trees"
     key = json.dumps([scene.sha256, _tree_of(kind), sorted(params.items()), _builder_digest(), versions()])
@@ -75,7 +75,7 @@ def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: A
 
 @cache
 def _builder_digest() -> str:
-    """Return a digest of the sources that decide what a tree is, and how it is kept."""
+    """Return a digest of the sources that determine a tree and its file."""
     here = Path(__file__)
     return digest_of([here.with_name("kdtree.py"), here.with_name("bvh.py")]) + hashlib.sha256(here.read_bytes()).hexdigest()
 
@@ -87,7 +87,7 @@ def _load(path: Path, scene: Scene, kind: str) -> Tree:
         prims, max_level = arrays["prims"], int(arrays["max_level"])
         bounds, core = arrays["extent"]
     with suppress(OSError):
-        os.utime(path)  # lately used: not among the oldest
+        os.utime(path)  # recently used, so not among the oldest
     corners = np.take(scene.triangles, prims, axis=0)
     return in_format(Tree(kind, nodes, prims, corners, scene.triangles, bounds, core, max_level, params), kind)
 

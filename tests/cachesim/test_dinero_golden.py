@@ -20,7 +20,7 @@ COLUMNS = {"Instrn": (2,), "Data": (0, 1, 3), "Read": (0,), "Write": (1,), "Misc
 
 @pytest.fixture(scope="session")
 def din(tmp_path_factory):
-    """Folder with the traces; four of the five are one trace with its pre-fetches labelled b, 0 or 3, or left out."""
+    """Folder with the traces; four of the five are one trace with its prefetches labelled b, 0 or 3, or left out."""
     folder = tmp_path_factory.mktemp("dinero")
     (folder / "stream.din").write_bytes(gzip.decompress((GOLDEN / "stream.din.gz").read_bytes()))
     labelled = gzip.decompress((GOLDEN / "bst_pf_label_b.din.gz").read_bytes()).splitlines(keepends=True)
@@ -84,7 +84,7 @@ def test_every_printed_counter(case, din):
             assert rows[name] == [total, *five], name
             compared += 1
     assert compared == (2 if case["fetch"] == "d" else 4) + (3 if case["3c"] else 0) * (1 if case["fetch"] == "d" else 2)
-    if case["fetch"] == "d" and "label_b" not in case["trace"]:  # without pre-fetches, also by the paths that only count
+    if case["fetch"] == "d" and "label_b" not in case["trace"]:  # without prefetches, also by the paths that only count
         assert rows["Demand Misses"][0] == result.demand_misses_without
     assert rows["Bytes From Memory"] == [result.bytes_from_memory]
     assert rows["Demand miss rate"][0] == round(result.demand_miss_rate, 4)

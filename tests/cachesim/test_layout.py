@@ -150,8 +150,8 @@ def test_base_and_names():
     ("text", "message"),
     [
         ("zigzag", "'zigzag' is not a layout; choose one of stored, bfs, dfs, veb, treelet:BYTES"),
-        ("treelet", "only treelet has a block, as in treelet:256"),
-        ("bfs:64", "only treelet has a block"),
+        ("treelet", "only treelet has a block size, and needs it; write e.g. treelet:256"),
+        ("bfs:64", "only treelet has a block size"),
         ("treelet:0", "a treelet of 0 B holds no node"),
         ("treelet:x", "'x' is not a size"),
         ("stored+", "'' is not a size"),
@@ -174,7 +174,7 @@ def test_a_block_must_be_whole_pairs():
 @pytest.mark.parametrize("parent", [[-1, 0], [-1, 0, 1], [-1, 0, 0, 3, 3], [-1, 0, 0, -1, -1]])
 def test_what_is_not_a_tree(parent):
     level = np.zeros(len(parent), np.uint16)
-    with pytest.raises(ValueError, match="not a tree of sibling pairs"):
+    with pytest.raises(ValueError, match="are not sibling pairs"):
         addresses({"parent": np.array(parent), "level": level}, 8, "veb")
 
 

@@ -163,9 +163,9 @@ def test_room_for_more_lines_changes_nothing():
 
 
 def test_what_cannot_be_foreseen_is_refused(monkeypatch):
-    with pytest.raises(ValueError, match="opt has to know all accesses beforehand, and next-line:miss requests"):
+    with pytest.raises(ValueError, match="opt needs all accesses in advance, but next-line:miss issues requests"):
         replay(Listed([]), [CacheConfig(8, 2, 4, "opt")], prefetch="next-line:miss")
     monkeypatch.setattr(next_use, "MAX_ACCESSES", 10)
-    with pytest.raises(ValueError, match="this trace has more than 10; render a smaller picture, or use lru"):
+    with pytest.raises(ValueError, match="this trace has more than 10 accesses; render a smaller picture, or use lru"):
         replay(Listed([(0, 4, 0)] * 11), [CacheConfig(8, 2, 4, "opt")])
     assert replay(Listed([(0, 4, 0)] * 10), [CacheConfig(8, 2, 4, "opt")])[0].demand_misses == 1

@@ -183,5 +183,5 @@ def test_what_is_not_a_policy(text):
 def test_a_trace_that_is_not_of_its_tree(kind, rows):
     level, n_prims = np.array([0, 1, 1, 2, 2, 3, 3, 3, 3]), np.ones(9, np.uint32)
     parent = np.array([-1, 0, 0, 1, 1, 3, 3, 4, 4])
-    with pytest.raises(ValueError, match="does not follow from the rows before it"):
+    with pytest.raises(ValueError, match="a traversal cannot read node .* after the rows before it"):
         UnitReplay(parse_prefetch("stack"), NODE_FORMATS[kind], n_prims, level, parent).events(*columns(rows))

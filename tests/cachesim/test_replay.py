@@ -184,7 +184,7 @@ def test_random_is_a_function_of_its_seed():
 
 
 def test_rates_by_name_with_their_denominators():
-    """Four lines in two sets; the pre-fetch of line 2 evicts line 0, which is demanded again: pollution."""
+    """Four lines in two sets; the prefetch of line 2 evicts line 0, which is demanded again: pollution."""
     trace = [(0, 4, 0), (4, 4, 0), (8, 4, 11), (0, 4, 0), (12, 4, 11), (12, 4, 0), (12, 4, 11)]
     values = replay(Listed(trace), [CacheConfig(8, 1, 4)])[0].to_dict()
     assert (values["demand_accesses"], values["demand_misses"], values["demand_misses_without"]) == (4, 3, 3)

@@ -13,7 +13,7 @@ from tests.reference.traces import make_trace, write
 
 
 def growing(n, seed):
-    """Return accesses among ever more lines, pre-fetches among them, so that every batch brings lines that are new."""
+    """Return accesses among ever more lines, prefetches among them, so that every batch brings lines that are new."""
     rng = np.random.default_rng(seed)
     address = 16 * np.minimum(rng.geometric(0.02, n), 1 + np.arange(n) // 4)
     labels = rng.choice([0, 0, 0, 2, 11], n)
@@ -40,7 +40,7 @@ def test_an_account_over_forty_batches(policy, ways):
 @pytest.mark.parametrize("prefetch", ["traced", "stack:tris*2"])
 @pytest.mark.parametrize("kind", ["kdtree", "bvh"])
 def test_a_run_in_small_batches(tmp_path, monkeypatch, kind, prefetch):
-    """The stack of the pre-fetch unit and OPT's foresight go on where the last batch ended."""
+    """The stack of the prefetch unit and OPT's foresight go on where the last batch ended."""
     run = write(make_trace(kind, 8, n_rays=60, max_level=8), tmp_path / f"x-{kind}")
     monkeypatch.setattr(sourcing, "BATCH", 37)
     for policy in ("opt", "lru"):

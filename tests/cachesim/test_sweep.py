@@ -145,11 +145,11 @@ def test_cells_do_not_depend_on_their_neighbours():
 @pytest.mark.parametrize(
     ("config", "prefetch", "message"),
     [
-        (CacheConfig(1024, 2, 16, "fifo"), "traced", "1K 2-way 16 B fifo cannot be swept.*sweep lru, or use npcache replay"),
+        (CacheConfig(1024, 2, 16, "fifo"), "traced", "1K 2-way 16 B fifo cannot be swept.*use lru, or npcache replay"),
         (CacheConfig(1024, 2, 16, "random"), "none", "random cannot be swept"),
-        (CacheConfig(96, 2, 16), "none", "has 3 sets; a sweep takes powers of two, use npcache replay"),
-        (CacheConfig(8, 2, 1), "none", "lines of 2 B"),
-        (CacheConfig(1024, 2, 16), "next-line:miss", "pre-fetch next-line:miss asks.*use none, traced or stack"),
+        (CacheConfig(96, 2, 16), "none", "has 3 sets; a sweep needs a power of two; choose another size"),
+        (CacheConfig(8, 2, 1), "none", "lines of at least 2 B"),
+        (CacheConfig(1024, 2, 16), "next-line:miss", "of next-line:miss depend on hits.*use none, traced or stack"),
     ],
 )
 def test_what_one_pass_cannot_count_is_refused(config, prefetch, message):
@@ -183,7 +183,7 @@ def test_an_error_in_the_last_step_reaches_the_caller():
 
 
 def distances_by_a_list(trace):
-    """Return {(distance, is a pre-fetch): accesses}; distance 0 is a first access."""
+    """Return {(distance, is a prefetch): accesses}; distance 0 is a first access."""
     stack, seen, counts = [], set(), {}
     for line, label in trace:
         distance = 0
@@ -380,7 +380,7 @@ def test_the_3c_classification_refuses_a_filter_because_it_hides_which_lines_are
     [
         (lambda: check_exact(2, 32, [CacheConfig(64, 1, 16)]), "the line sizes must be equal; use one of 16 B"),
         (lambda: check_exact(2, 16, [CacheConfig(128, 1, 32)]), "the line sizes must be equal; use one of 32 B"),
-        (lambda: check_exact(0, 16, [CacheConfig(64, 1, 16)]), "at least 1; use filter_sets"),
+        (lambda: check_exact(0, 16, [CacheConfig(64, 1, 16)]), "at least 1 set, got 0; use filter_sets"),
         (
             lambda: check_exact(2, 16, [CacheConfig(64, 1, 16)], prefetch=parse_prefetch("next-line:miss")),
             "without the filter",
@@ -500,7 +500,7 @@ def test_a_plot_without_misses_or_pre_fetches(tmp_path):
     assert "prefetching" not in (tmp_path / "one.svg").read_text()
 
 
-def test_a_plot_says_what_it_needs(rows, tmp_path, monkeypatch):
+def test_a_plot_without_matplotlib_gives_a_message(rows, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ValueError, match="pip install matplotlib"):
         plot(rows, tmp_path / "a.png")

@@ -45,7 +45,7 @@ def test_an_exact_run_is_the_rendered_one(tmp_path):
     assert not list(tmp_path.glob("*.npz"))
 
 
-def test_a_sampled_run_says_what_it_did(tmp_path):
+def test_a_sampled_run_reports_its_method(tmp_path):
     args = ["estimate", "court", "--accel", "kdtree", "--pixels", "256x256", "--size", "2K", "--target-error", "10%,0.2pp"]
     args += ["--exact-below", "0", "--resume", "kept.npz"]
     found = json.loads(npcache(*args, "--json"))[0]

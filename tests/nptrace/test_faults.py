@@ -75,7 +75,7 @@ def test_killed_at_any_moment_a_run_is_whole_or_the_one_before(folder):
     assert (folder / "traces" / "soup-bvh" / "accesses.parquet").read_bytes() == before
 
 
-def test_a_disk_that_fills_up_is_said_and_leaves_nothing(folder):
+def test_a_disk_that_fills_up_gives_a_message_and_leaves_nothing(folder):
     process = render(folder, "400x400", limit=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)))
     _, stderr = process.communicate()
     assert process.returncode == 2
@@ -174,7 +174,7 @@ def test_a_writer_killed_while_it_writes_leaves_what_the_next_one_sweeps(folder)
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_disk_that_fills_up_under_an_output_file_is_said(folder, name):
+def test_a_disk_that_fills_up_under_an_output_file_gives_a_message(folder, name):
     assert finish(render(folder, "64x64"))[0] == 0
     (folder / name).write_text("before")
     program, command = WRITERS[name]
@@ -189,7 +189,7 @@ def test_a_disk_that_fills_up_under_an_output_file_is_said(folder, name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_flipped_bit_in_the_middle_of_any_file_is_said(folder, name):
+def test_a_flipped_bit_in_the_middle_of_any_file_is_reported(folder, name):
     """Half-way into a file are its data. Columns that a replay does not read are refused when they are read."""
     assert finish(render(folder, "64x64"))[0] == 0
     file = folder / "traces" / "soup-bvh" / name
@@ -211,7 +211,7 @@ def test_a_flipped_bit_in_the_middle_of_any_file_is_said(folder, name):
     assert CliRunner().invoke(cli.npcache, ["replay", "--traces", str(folder / "traces")]).exit_code == 0
 
 
-def test_a_cut_footer_is_said(folder):
+def test_a_cut_footer_is_reported(folder):
     assert finish(render(folder, "64x64"))[0] == 0
     for name in ("accesses.parquet", "rays.parquet", "nodes.parquet"):
         file = folder / "traces" / "soup-bvh" / name
@@ -248,7 +248,7 @@ except NptraceError as e:
 """
 
 
-def test_a_read_only_folder_is_said_and_left_as_it_was(tmp_path):
+def test_a_read_only_folder_is_reported_and_left_as_it_was(tmp_path):
     """Without the rights of root, which folders do not bind."""
     (tmp_path / "locked").mkdir()
     (tmp_path / "locked" / "run").mkdir()

@@ -34,7 +34,7 @@ def run(*args, code=0):
     return result
 
 
-def test_render_writes_both_trees_and_says_what(folder):
+def test_render_writes_both_trees_and_reports_them(folder):
     result = run("render", "ball.obj", "--name", "ball", "--pixels", "40x30")
     assert "traces/ball-kdtree" in result.stdout and "traces/ball-bvh" in result.stdout
     assert re.fullmatch(r"2 runs, [\d,]+ rays, [\d.]+ kB in \d+\.\d s; next: npcache replay --size 8K,16K\n", result.stderr)
@@ -153,7 +153,7 @@ def test_a_directory_that_is_no_run_is_not_overwritten(folder):
     assert (folder / "traces" / "ball-bvh" / "thesis.tex").read_text() == "precious"
 
 
-def test_a_read_only_folder_is_said(folder):
+def test_a_read_only_folder_is_reported(folder):
     if os.geteuid() == 0:
         target = "/proc/runs"  # root may write anywhere but here
     else:

@@ -69,7 +69,7 @@ def test_no_kernel_is_compiled_twice_and_nothing_after_compile(tmp_path):
     assert python(USE, tmp_path).stdout == "0\n"
 
 
-def test_the_first_compilation_is_said_once(monkeypatch):
+def test_the_first_compilation_is_announced_once(monkeypatch):
     said = []
     monkeypatch.setattr(compiling, "n_compiled", 0)
     monkeypatch.setattr(compiling, "announce", said.append)
@@ -79,7 +79,7 @@ def test_the_first_compilation_is_said_once(monkeypatch):
     assert compiling.n_compiled == 3
 
 
-def test_only_a_program_says_so(tmp_path):
+def test_only_a_program_announces_it(tmp_path):
     """On stderr, for a kernel that is really compiled; a warm start says nothing."""
     program = """
 import sys, cli

@@ -86,13 +86,13 @@ class Cache:
             self.contents = Contents(config.n_sets, config.ways, config.policy, config.seed)
             self.shadow = Contents(1, config.n_lines, config.policy, config.seed ^ 0x5DEECE66D)
         self.touched = set()
-        self.unused = set()  # resident, filled by a pre-fetch, not demanded yet
-        self.pushed_out = set()  # evicted by a pre-fetch and not filled since
+        self.unused = set()  # resident, filled by a prefetch, not demanded yet
+        self.pushed_out = set()  # evicted by a prefetch and not filled since
         self.counts = {name: [0] * 16 for name in ("accesses", "misses", "compulsory", "capacity", "conflict")}
         self.useful = self.useless = self.pollution = 0
 
     def access(self, line, label):
-        """Return (missed, first demand of a pre-fetched line)."""
+        """Return (missed, first demand of a prefetched line)."""
         is_prefetch = label >= PREFETCH
         self.counts["accesses"][label] += 1
         shadow_hit, _ = self.shadow.access(line)
@@ -171,7 +171,7 @@ class Unit:
 
 
 def derive(rows, tree_kind, n_prims, budget=None, per_triangle=False, once=False, empty=False):
-    """Return the (node, is_request) events of the demand rows (node, kind) under a policy of the pre-fetch unit.
+    """Return the (node, is_request) events of the demand rows (node, kind) under a policy of the prefetch unit.
 
     In the kind ``bvh64`` leaves, which have triangles, are nowhere in memory.
     """

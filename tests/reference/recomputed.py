@@ -18,7 +18,7 @@ def query(run, table, sql):
 
 
 def events(run, tree, prefetch, base=0):
-    """Return (address, size, label) of every access of a run under a pre-fetch policy."""
+    """Return (address, size, label) of every access of a run under a prefetch policy."""
     rows = query(run, "accesses", "SELECT node, kind FROM it")
     nodes = query(run, "nodes", "SELECT address, n_prims FROM it ORDER BY node")
     if prefetch == "traced":

@@ -107,7 +107,7 @@ def test_a_failure_leaves_nothing_and_keeps_the_earlier_run(tmp_path, error):
     assert open_run(tmp_path / "run").footer.seed == 1
 
 
-def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, monkeypatch):
+def test_a_full_disk_gives_a_message_and_leaves_nothing(tmp_path, monkeypatch):
     def full(self, *args, **kwargs):
         raise OSError(28, "No space left on device")
 

@@ -83,7 +83,7 @@ def test_a_fifo_is_read_once(tmp_path, dress):
     assert not writer.is_alive()
 
 
-def test_what_reads_twice_says_so_of_a_pipe_before_it_reads(tmp_path):
+def test_two_passes_over_a_pipe_are_refused_before_reading(tmp_path):
     writer = through_a_pipe(tmp_path / "in.din", TEXT)
     result = CliRunner().invoke(cli.npcache, ["replay", str(tmp_path / "in.din"), "--prefetch", "none,traced"])
     assert (

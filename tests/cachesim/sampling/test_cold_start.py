@@ -43,7 +43,7 @@ def test_certain_and_open_misses_bracket_the_truth(drawn):
     replay.step(lines[begin:start], labels[begin:start])
     found = replay.step(lines[start:], labels[start:])
     true = truth(lines, labels, config, start)
-    assert (found.misses[0] <= true).all() and (true <= found.misses[0] + found.open_[0]).all()
+    assert (found.misses[0] <= true).all() and (true <= found.misses[0] + found.unknown[0]).all()
     assert found.accesses + found.prefetches == lines.size - start
 
 
@@ -58,16 +58,16 @@ def test_from_the_start_of_the_trace_nothing_is_open(drawn):
     replay.step(lines[:cut], labels[:cut])
     found = replay.step(lines[cut:], labels[cut:])
     assert found.misses[0].tolist() == truth(lines, labels, config, cut)
-    assert not found.open_.any()
+    assert not found.unknown.any()
 
 
 def test_open_misses_occur_and_end():
     config = CacheConfig(64, 2, 32)
     replay = KnownReplay([config])
     first = replay.step(np.array([1, 2], np.uint32), np.zeros(2, np.uint8))
-    assert first.open_[0].tolist() == [2, 2, 0] and not first.misses.any()
+    assert first.unknown[0].tolist() == [2, 2, 0] and not first.misses.any()
     second = replay.step(np.array([3, 2, 1], np.uint32), np.zeros(3, np.uint8))
-    assert second.misses[0].tolist() == [2, 2, 0] and not second.open_.any()
+    assert second.misses[0].tolist() == [2, 2, 0] and not second.unknown.any()
 
 
 def test_what_cannot_be_replayed_from_an_unknown_start():

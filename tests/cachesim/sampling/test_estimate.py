@@ -96,12 +96,12 @@ def test_a_hot_part_or_a_period(hot):
     assert n_right >= 9  # fails for one in 90 sources where each interval holds in 95 %
 
 
-def test_only_first_touches_cannot_be_sampled_and_that_is_said():
+def test_only_first_touches_cannot_be_sampled_and_the_result_gives_the_reason():
     """A cache that holds everything misses a line once: no stretch of the trace tells which uses were the first."""
     nodes = independent(2000, 300_000, seed=4)
     configs = [CacheConfig(32 * 4096, 8)]
     result = estimate(ArraySource(nodes), configs, Target(0.02, 0.0), exact_below=0)
-    assert result.method == "exact" and any("no sample settles" in flag for flag in result.flags)
+    assert result.method == "exact" and any("no sample can settle" in flag for flag in result.flags)
     assert rate(result).value == 2000 / 300_000 and rate(result).half == 0
     # In points, a bound on them will do: the interval is wide, not zero, and holds.
     bound = estimate(ArraySource(nodes), configs, Target(0.0, 0.2), exact_below=0)
@@ -121,14 +121,14 @@ def test_nothing_seen_is_no_certainty():
 def test_an_unattainable_target_is_refused_before_most_is_traced():
     source = ArraySource(mixed({7, 100, 101, 102, 300, 450}), row=256)
     result = estimate(source, [CacheConfig(512, 2)], Target(0.002, 0.0), exact_below=0)
-    assert result.method == "exact" and ("of the run" in result.reason or "no sample settles" in result.reason)
+    assert result.method == "exact" and ("of the run" in result.reason or "no sample can settle" in result.reason)
     assert rate(result).half == 0 and result.share == 1.0 and result.seconds > result.exact_seconds
 
 
 def test_a_run_of_a_moment_is_counted_at_once():
     source = ArraySource(cyclic(50, 5000))
     result = estimate(source, [CacheConfig(4096, 1)], BOTH)
-    assert result.method == "exact" and "in a moment" in result.reason and result.share == 1.0
+    assert result.method == "exact" and "only a moment" in result.reason and result.share == 1.0
 
 
 # The same figures again.
@@ -169,7 +169,7 @@ def test_resumed_after_an_interruption(tmp_path):
         assert [cell.values for cell in again.cells] == [cell.values for cell in whole.cells]
     assert source.n_traced < 0.05 * source.n_positions
     other = ArraySource(*with_prefetches(), name="another")
-    with pytest.raises(ValueError, match="of another scene"):
+    with pytest.raises(ValueError, match="belongs to another scene"):
         sampled(other, configs, resume=kept)
     kept.write_bytes(b"PK nothing")
     with pytest.raises(ValueError, match="cannot be resumed from"):
@@ -185,7 +185,7 @@ def test_targets(text, target):
 
 @pytest.mark.parametrize("text", ["2", "2%%", "0%", "-1%", "100%", "nan%", "", "2%,", "1e3pp"])
 def test_what_is_no_target(text):
-    with pytest.raises(ValueError, match=r"write e\.g\.|leave --target-error out"):
+    with pytest.raises(ValueError, match=r"write e\.g\.|needs the exact run"):
         parse_target(text)
 
 

@@ -14,7 +14,8 @@ from cachesim.sampling.strata import Design
 from cachesim.sampling.target import Target
 from cachesim.sampling.two_phase import Ratio, Sample
 from cachesim.sampling.two_phase import estimate as extrapolate
-from cachesim.sampling.unit_counts import Rate, UnitCounts, Work
+from cachesim.sampling.unit_counts import UnitCounts
+from cachesim.sampling.work import Rate, Work
 from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting
 from rtrace.scenes.stand_ins import stand_in

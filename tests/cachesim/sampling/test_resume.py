@@ -112,7 +112,7 @@ DAMAGED = {
     "a unit before the run": lambda good: changed(good, "units", (0, -1)),
     "long counts of a unit that is not there": lambda good: changed(good, "long_", (0, 585)),
     "a rate of work that is none": lambda good: changed(good, "work", (0, np.nan)),
-    "counts below 0": lambda good: changed(good, "certain", (0, -5)),
+    "counts below 0": lambda good: changed(good, "known", (0, -5)),
     "fewer rows": lambda good: changed(good, "counts", np.zeros((3, 3))),
     "other numbers": lambda good: changed(good, "settled", np.zeros((24, 3), np.float32)),
     "a stretch beyond the run": lambda good: changed(good, "spans", (1, 1 << 40)),
@@ -126,7 +126,9 @@ def test_what_is_no_whole_file_of_counts(how, good, tmp_path):
     path, of = tmp_path / "kept.npz", source()
     path.write_bytes(DAMAGED[how](good))
     before = path.read_bytes()
-    with pytest.raises(NptraceError, match="cannot be resumed from: it is damaged, or no file of counts; name another file"):
+    with pytest.raises(
+        NptraceError, match="cannot be resumed from: it is damaged, or not a file of counts; name another file"
+    ):
         run(path, of)
     assert of.n_traced == 0 and path.read_bytes() == before
 
@@ -134,7 +136,7 @@ def test_what_is_no_whole_file_of_counts(how, good, tmp_path):
 def test_a_file_of_another_run(good, tmp_path):
     path, of = tmp_path / "kept.npz", source("another")
     path.write_bytes(good)
-    with pytest.raises(NptraceError, match="of another scene"):
+    with pytest.raises(NptraceError, match="belongs to another scene"):
         run(path, of)
     assert of.n_traced == 0
 
@@ -152,12 +154,12 @@ def test_a_place_where_nothing_can_be_kept(tmp_path):
     of = source()
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "missing" / "x.npz", tmp_path / "file" / "x.npz"):
-        with pytest.raises(NptraceError, match="cannot keep the counts: there is no folder"):
+        with pytest.raises(NptraceError, match="cannot store the counts: there is no folder"):
             run(path, of)
     assert of.n_traced == 0
 
 
-def test_the_command_says_it_in_a_sentence(tmp_path):
+def test_the_command_gives_one_sentence(tmp_path):
     scene = tmp_path / "one.obj"
     scene.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "cut.npz").write_bytes(b"PK\x03\x04 cut")

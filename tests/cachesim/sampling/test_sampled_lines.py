@@ -45,7 +45,7 @@ def test_sets_that_are_no_power_of_two(run):
 
 @pytest.mark.parametrize(
     ("every", "which", "message"),
-    [(3, 0, "divisor of 8"), (0, 0, "divisor of 8"), (4, 4, "take 0 to 3"), (4, -1, "take 0 to 3")],
+    [(3, 0, "divisor of 8"), (0, 0, "divisor of 8"), (4, 4, "choose 0 to 3"), (4, -1, "choose 0 to 3")],
 )  # fmt: skip
 def test_parts_that_do_not_exist(run, every, which, message):
     with pytest.raises(ValueError, match=message):
@@ -95,7 +95,7 @@ def test_the_adjustment_takes_out_what_one_hot_line_does():
 
 @pytest.mark.parametrize("rate", [0.0, -0.1, 1.5, float("nan")])
 def test_rates_that_cannot_be_followed(rate):
-    with pytest.raises(ValueError, match="more than 0 and at most 1"):
+    with pytest.raises(ValueError, match="above 0 and at most 1"):
         HashedDistances(rate)
 
 

@@ -89,9 +89,9 @@ def test_a_second_sample_that_agrees_leaves_a_doubt():
     part = np.arange(0, 64, 2)
     halves = []
     for opened in (0.0, 25.0):
-        certain = sample.certain - opened
+        certain = sample.known - opened
         left = sample._replace(
-            certain=certain, open_=np.full_like(certain, opened), second=part, settled=sample.settled[part],
+            known=certain, unknown=np.full_like(certain, opened), second=part, settled=sample.settled[part],
             bracket=sample.bracket[part],
         )  # fmt: skip
         halves.append(estimate(left, [TOTAL]).intervals[0].half)

@@ -191,7 +191,7 @@ def test_huge_members_are_refused(tmp_path, server, ball, monkeypatch):
     assert "more than 1,000" in said
 
 
-def test_a_damaged_cache_is_said_and_fetched_again(tmp_path, server, ball):
+def test_a_damaged_cache_is_reported_and_downloaded_again(tmp_path, server, ball):
     server.pages[path_of(ball)] = zipped({"sponza.obj": obj(BALL)})
     find(tmp_path, server)
     (file,) = (tmp_path / "cache").iterdir()

@@ -180,7 +180,7 @@ BAD_FILES = [
 @pytest.mark.parametrize(
     ("name", "data", "words"), BAD_FILES, ids=[f"{name[2:]}: {words[:50]}" for name, _, words in BAD_FILES]
 )
-def test_what_cannot_be_read_is_said_with_the_place_and_the_way_out(tmp_path, name, data, words):
+def test_what_cannot_be_read_is_reported_with_the_place_and_the_way_out(tmp_path, name, data, words):
     with pytest.raises(SceneError, match=words) as error:
         load(tmp_path, name, data)
     said = str(error.value)

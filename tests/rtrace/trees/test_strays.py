@@ -133,7 +133,7 @@ def note_of(triangles, eye):
     return margin_note(triangles, np.stack([triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))]), eye)
 
 
-def test_a_margin_that_is_not_small_is_told():
+def test_a_margin_that_is_not_small_is_reported():
     ball = icosphere(3)
     assert note_of(ball, (2, 1, 1)) is None
     assert note_of(with_stray(ball, 1e14), (2, 1, 1)) is None  # it has its own room
