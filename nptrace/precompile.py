@@ -98,12 +98,18 @@ def _end(children: Sequence[subprocess.Popen[str]]) -> None:
             child.wait()
 
 
+def _leave(number: int, frame: object) -> None:
+    """End this process; quietly too where LLVM calls back and the exit cannot be raised."""
+    sys.unraisablehook = lambda error: None
+    sys.exit(128 + number)
+
+
 def compile_part(part: int) -> None:
     """Compile one of ``PARTS`` in this process.
 
     Prints ``BEGUN`` for each kernel; at last how many kernels it compiled and what it could not store, as JSON.
     """
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    signal.signal(signal.SIGTERM, _leave)
     gc.set_threshold(*compiling.GC_THRESHOLD)
     n_told = 0
 

@@ -1,5 +1,6 @@
 """A sweep for people: rows of ``cachesim.sweep`` -> a table, and a plot of miss rate over size and ways."""
 
+import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -54,19 +55,30 @@ def ending_of(path: Path, endings: Sequence[str]) -> str:
     raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
 
 
+def check_plot(path: Path) -> None:
+    """Raise NptraceError if a plot cannot be drawn into a file: its ending is unknown, or matplotlib is missing."""
+    ending_of(path, PICTURES)
+    try:
+        importlib.import_module("matplotlib")
+    except ImportError:
+        raise NptraceError(
+            "a plot needs matplotlib, which is not installed; run: pip install matplotlib, or "
+            "uv tool install --with matplotlib nptrace, or pipx inject nptrace matplotlib"
+        ) from None
+
+
 def plot(rows: Sequence[SweepRow], path: Path) -> None:
     """Draw the demand miss rate over size, a curve per number of ways, as a PNG, SVG or PDF file by the ending of its name.
 
     One panel for each run, prefetch policy, layout and line size; in it, a curve for each number of ways, of more than six
     for the powers of two. Solid: with prefetching; dashed: without, where there is any.
     """
+    check_plot(path)
     ending = ending_of(path, PICTURES)
     with whole_file(path) as temporary:
-        try:
-            from matplotlib import rc_context
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+
         with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 9}):
             names = labels(row.identity for row in rows)
             runs = list(dict.fromkeys(map(_panel_of, rows)))

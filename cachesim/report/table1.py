@@ -15,7 +15,7 @@ from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.result import Result, ratio
 from nptrace_base.errors import NptraceError
-from traces.identity import RunIdentity
+from traces.identity import STAND_IN, RunIdentity
 from traces.reader import Run
 
 TREES = {"kdtree": "kd-tree", "bvh": "BVH"}
@@ -90,7 +90,8 @@ def acpr(n: float, miss_rate: float | None) -> float | None:
 def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
     """Return the run of every (tree, scene) of the table; others are left out.
 
-    Of several runs the one named ``<scene>-<tree>`` is chosen; without one of that name, NptraceError.
+    Of several runs the one with every default is chosen, by its name ``<scene>-<tree>``, or ``<scene>-standin-<tree>`` if
+    there is none of the real scene; without one of these names, NptraceError.
     """
     found: dict[tuple[str, str], list[Run]] = {}
     for run in runs:
@@ -99,10 +100,13 @@ def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
             found.setdefault((run.footer.tree.kind, scene), []).append(run)
     chosen = {}
     for (tree, scene), candidates in found.items():
-        named = [run for run in candidates if run.name == f"{scene}-{tree}"] or candidates
+        usual = (f"{scene}-{tree}", f"{scene}-{STAND_IN}-{tree}")
+        named = next(filter(None, ([run for run in candidates if run.name == name] for name in usual)), candidates)
         if len(named) > 1:
             names = " and ".join(str(run.path) for run in named)
-            raise NptraceError(f"{names} are both {scene} as a {TREES[tree]}; keep one, or name one {scene}-{tree}")
+            raise NptraceError(
+                f"{names} are both {scene} as a {TREES[tree]}; name the runs to use, or call one of them {scene}-{tree}"
+            )
         chosen[tree, scene] = named[0]
     return chosen
 

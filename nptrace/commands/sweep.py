@@ -42,7 +42,7 @@ def sweep(
 
     all_ways = list(dict.fromkeys(way for text in ways for way in parse_ways_range(text)))
     if picture is not None:
-        sweep_output.ending_of(picture, sweep_output.PICTURES)  # refused now, not after counting
+        sweep_output.check_plot(picture)  # refused now, not after counting
     configs = grid([parse_range(text) for text in size], all_ways, line)
     rows: list[sweeping.SweepRow] = []
     paths = chosen_sources(sources, folder)

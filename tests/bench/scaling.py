@@ -42,7 +42,7 @@ def rows(scene: str, sizes: tuple[int, ...]) -> list[list[object]]:
     """Return one row per size."""
     found: list[list[object]] = []
     with tempfile.TemporaryDirectory() as name:
-        render = ("nptrace", "render", scene, "--accel", "bvh", "--offline", "--overwrite", "--out", name)
+        render = ("nptrace", "render", scene, "--accel", "bvh", "--offline", "--name", scene, "--overwrite", "--out", name)
         measure(*render, "--pixels", "16x16")  # builds the tree, compiles
         path = Path(name) / f"{scene}-bvh"
         replay = ("npcache", "replay", str(path), "--size", "8K", "--assoc", "2")

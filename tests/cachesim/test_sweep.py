@@ -19,7 +19,7 @@ from cachesim.lines import AddressLines
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
 from cachesim.report import sweep_output
-from cachesim.report.sweep_output import plot
+from cachesim.report.sweep_output import check_plot, plot
 from cachesim.source import open_source
 from cachesim.stack_distance import StackDistances, stack_distances
 from cachesim.sweep import SweepRow, sweep
@@ -502,6 +502,8 @@ def test_a_plot_without_misses_or_pre_fetches(tmp_path):
 
 def test_a_plot_without_matplotlib_gives_a_message(rows, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ValueError, match="pip install matplotlib"):
+    with pytest.raises(ValueError, match="pip install matplotlib, or uv tool .* or pipx inject"):
         plot(rows, tmp_path / "a.png")
+    with pytest.raises(ValueError, match="pip install matplotlib"):
+        check_plot(tmp_path / "a.png")  # before any work
     assert not list(tmp_path.iterdir())

@@ -132,7 +132,7 @@ def test_hard_cases_decide_the_exit_status(monkeypatch):
         row = good._replace(**bad)
         monkeypatch.setattr(hard_cases, "run_all", lambda is_long, row=row: [good, row])
         assert json.loads(call("check", "--hard", "--json", code=1).stdout) == [
-            {**good._asdict(), "is_good": True}, {**row._asdict(), "is_good": False},
+            {"schema_version": 1, **good._asdict(), "is_good": True}, {"schema_version": 1, **row._asdict(), "is_good": False},
         ]  # fmt: skip
         table = call("check", "--hard", code=1).stdout
         counts = [row.lost, row.invented, row.wrong, row.unlike, 7]
@@ -167,5 +167,5 @@ def test_scenes(tmp_path, monkeypatch):
     lines = call("scenes").stdout.splitlines()
     for row, (name, n, stand_in), where in zip(rows, SCENES, wheres, strict=True):
         [line] = [" ".join(line.split()) for line in lines if line.split()[:1] == [name]]
-        assert line == f"{name} {n:,} {where or f'stand-in: {stand_in}'} {row['licence']}"
+        assert line == f"{name} {where or f'stand-in: {stand_in}'} {row['licence']} {n:,}"
         assert row["url"].startswith("http") or not row["url"]

@@ -349,9 +349,9 @@ def test_export(traces, tmp_path, tree, prefetch):
     run = traces / f"bunny-{tree}"
     wanted = [(address, label if kind else 0) for address, _, kind in events(run, tree, "traced")]
     wanted = [access for access in wanted if access[1] is not None]
-    args = "export", run, "--prefetch", prefetch, "-o"
+    args = "export", run, "--prefetch-as", prefetch, "-o"
     said = call(cli.nptrace, *args, tmp_path / "x.din").stderr
-    assert said == f"{tmp_path / 'x.din'}: {len(wanted):,} accesses\n"
+    assert said.startswith(f"{tmp_path / 'x.din'}: {len(wanted):,} accesses in ")
     assert (tmp_path / "x.din").read_text() == "".join(f"{label:x} {address:x}\n" for address, label in wanted)
     call(cli.nptrace, *args, tmp_path / "x.bin", "--binary")
     records = np.fromfile(tmp_path / "x.bin", [("address", "<u4"), ("size", "<u2"), ("label", "u1"), ("pad", "u1")])

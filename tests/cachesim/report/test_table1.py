@@ -205,7 +205,9 @@ def test_tables_say_what_is_counted_and_mark_stand_ins(rows):
 def test_two_runs_of_one_scene(tmp_path):
     trace = make_trace("bvh", 1, n_rays=3)
     first, second = (write(trace, tmp_path / name) for name in ("bunny-bvh-small", "bunny-bvh-large"))
-    with pytest.raises(ValueError, match="are both bunny as a BVH; keep one, or name one bunny-bvh"):
+    with pytest.raises(ValueError, match="are both bunny as a BVH; name the runs to use, or call one of them bunny-bvh"):
         choose_runs([first, second])
+    stand_in = write(trace, tmp_path / "bunny-standin-bvh", stand_in=True)
+    assert choose_runs([first, stand_in, second]) == {("bvh", "bunny"): stand_in}
     named = write(trace, tmp_path / "bunny-bvh")
-    assert choose_runs([first, named, second]) == {("bvh", "bunny"): named}
+    assert choose_runs([first, named, stand_in, second]) == {("bvh", "bunny"): named}
