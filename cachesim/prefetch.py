@@ -121,7 +121,8 @@ class StackReplay:
         self._policy = policy
         self._boxes = node_format.boxes
         self._parent = np.ascontiguousarray(parent, np.int32)
-        self._in_memory = stored_slots(parent, node_format) >= 0
+        # Not looked at where all nodes are in memory: looking up every row took 5 % of the time.
+        self._in_memory = np.empty(0, np.bool_) if node_format.reads_leaves else stored_slots(parent, node_format) >= 0
         self._n_prims = np.ascontiguousarray(n_prims, np.uint32)
         self._stack = np.zeros(max(int(level.max()), 1), np.int64)  # at most one entry per level above
         self._asked = np.zeros(self._stack.size, np.uint8)
@@ -202,7 +203,7 @@ def rebuild(
                 break
             sp -= 1
             pp = min(pp, sp)
-        if in_memory[node]:
+        if boxes != CHILD_BOXES or in_memory[node]:
             out[n] = node
             labels[n] = READ
             n += 1
@@ -212,7 +213,7 @@ def rebuild(
                 left = budget * np.int64(n_prims[node])
             while left > 0 and pp > 0:
                 pp -= 1
-                if (once and asked[pp]) or not in_memory[stack[pp]]:
+                if (once and asked[pp]) or (boxes == CHILD_BOXES and not in_memory[stack[pp]]):
                     continue
                 asked[pp] = 1
                 out[n] = stack[pp]
