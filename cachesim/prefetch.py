@@ -223,7 +223,7 @@ def rebuild(nodes, kinds, start, unit, machine, boxes, last, events):
             sp -= 1
             machine.sp[0] = sp
             hooks.on_pop(unit, machine, slot)
-        if n_lines[node] > 0:
+        if boxes != CHILD_BOXES or n_lines[node] > 0:  # looking every row up took 5 % of the time
             out[n], types[n] = node, READ
             n += 1
         n = _requests(unit, machine, out, types, n)

@@ -120,7 +120,7 @@ def try_point(text: str) -> None:
 
 
 def try_kd(text: str) -> None:
-    assert set(parse_kd(text)) <= {"c_trav", "c_isect", "empty_bonus", "max_level"}
+    assert set(parse_kd(text)) <= {"c_trav", "c_isect", "empty_bonus", "max_level", "min_leaf", "max_leaf"}
 
 
 def try_bytes(text: str) -> None:

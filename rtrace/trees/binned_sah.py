@@ -16,6 +16,7 @@ from numba import types
 from nptrace_base.jit import inlined, instructions, kernel
 from rtrace.trees import strays
 from rtrace.trees import tree as layout
+from rtrace.trees.leaf_rules import NO_SMALLER
 from rtrace.trees.tree import AXIS_BITS, LEAF_AXIS
 
 N_BINS = 16
@@ -314,7 +315,7 @@ def build_binned(records, numbers, box, nodes, words, prims, rules):
         copy(sides, ZERO, empty, ZERO)
         copy(sides, ONE, empty, ZERO)
         position = start + ONE
-        if not cost < area * count:
+        if not cost < area * count * NO_SMALLER:
             axis, position = _longest_axis(nodes, node), _halve(records, numbers, start, end, spare)
             for i in range(start, end):
                 grow(sides, ZERO if i < position else ONE, records, i)

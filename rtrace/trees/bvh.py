@@ -13,7 +13,7 @@ import numpy as np
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined, kernel
 from rtrace.trees import binned_sah
-from rtrace.trees.leaf_rules import leaf_rules, limits_given
+from rtrace.trees.leaf_rules import NO_SMALLER, leaf_rules, limits_given
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room
 from rtrace.trees.tree import (
@@ -182,7 +182,7 @@ def _build(orders, boxes, nodes, words, prims, n, rules):
             prims[start:end] = orders[start:end]
             words[w + CHILD], words[w + META] = start, count << AXIS_BITS | LEAF_AXIS
             continue
-        is_cut = cost < area * count
+        is_cut = cost < area * count * NO_SMALLER
         if not is_cut:
             axis = _longest_axis(box)
         order = orders[axis * n : (axis + 1) * n]

@@ -7,6 +7,9 @@ from nptrace_base.errors import NptraceError
 
 #: No limit to the triangles of a leaf.
 UNLIMITED = 2**31 - 1
+#: Cost of two children, of what their triangles cost in one leaf, from which on a cut makes nothing smaller: below 1 by more
+#: than rounding, which would cut copies into any pieces.
+NO_SMALLER = 1 - 2.0**-40
 
 
 class LeafRules(NamedTuple):

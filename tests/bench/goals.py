@@ -9,10 +9,15 @@ for _tree, _least in (("bvh", "0.55"), ("kdtree", "0.60")):
     GOALS[f"closest {_tree} traced / embree"] = (
         f"closest hit, {_TREES[_tree]}, traced, one thread, against embreex robust", f">= {_least}"
     )  # fmt: skip
+GOALS["closest bvh64 traced / embree"] = (
+    "closest hit, BVH of 64-byte nodes, traced, one thread, against embreex robust",
+    ">= 0.70",
+)
 for _tree in _TREES:
     GOALS[f"any {_tree} traced / embree"] = (
         f"any hit, {_TREES[_tree]}, traced, one thread, against embreex OCCLUDED", ">= 0.50"
     )  # fmt: skip
+GOALS["any bvh64 traced / embree"] = ("any hit, BVH of 64-byte nodes, traced, one thread, against embreex OCCLUDED", "")
 for _tree in _TREES:
     GOALS[f"both {_tree} two threads / embree"] = (
         f"primary and shadow rays, {_TREES[_tree]}, traced into memory by two threads, against embreex untraced", ">= 1.0"

@@ -7,6 +7,7 @@ import tempfile
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from rtrace.shading import shadow_rays
 from rtrace.traverse import Rays, Room, trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
-from rtrace.trees.tree import Tree, words
+from rtrace.trees.tree import Tree, in_format, words
 from tests.bench.measure import ratio, times
 from traces.reader import open_run
 
@@ -64,7 +65,12 @@ def bench_scene(scene: Scene, size: int, repeat: int, peer: ctypes.CDLL | None) 
                         call_peer(peer, tree, piece, any_hit, events)
 
                 functions["c++"] = peers
+            if name == "bvh":
+                wide = in_format(tree, "bvh64")
+                functions["64-byte nodes"] = partial(traced, tree=wide)
             taken = times(functions, repeat)
+            if name == "bvh":
+                out[f"{kind} bvh64 traced / embree"] = ratio(taken["embree"], taken["64-byte nodes"])
             out[f"{kind} {name} traced / embree"] = ratio(taken["embree"], taken["traced"])
             out[f"{kind} {name} cost of tracing"] = ratio(taken["traced"], taken["plain"])
             if peer is not None:

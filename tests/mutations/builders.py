@@ -10,6 +10,7 @@ BV, BN = "rtrace/trees/bvh.py", "rtrace/trees/binned_sah.py"
 STEPS = "tests/rtrace/trees/test_builders.py::test_every_split_counts_what_it_parts"
 MEMORY = "tests/rtrace/trees/test_builders.py::test_memory_that_was_never_set_is_never_read"
 DEEP = "tests/rtrace/trees/test_builders.py::test_trees_deeper_than_64_find_what_brute_force_finds"
+LEAVES = "tests/rtrace/trees/test_leaf_rules.py"
 
 MUTATIONS = [
     Mutation("builders: what ends at the plane counts above it too", KE, "n_above -= kind != START", "n_above -= kind == PLANAR", STEPS),
@@ -24,4 +25,16 @@ MUTATIONS = [
     Mutation("builders: a kd-tree says it has 64 levels at most", KT, "state[_DEEPEST] = max(state[_DEEPEST], level + 1)", "state[_DEEPEST] = max(state[_DEEPEST], min(level + 1, 64))", DEEP),
     Mutation("builders: a BVH says it has 64 levels at most", BV, "max_level = max(max_level, level)", "max_level = max(max_level, min(level, 64))", DEEP),
     Mutation("builders: a BVH takes NaN", BV, "    check_finite(triangles)\n", "", "tests/rtrace/trees/test_bvh.py::test_bad_arguments_are_named"),
+    Mutation("leaf rules: a node of max_leaf triangles is split", BV, "and count <= max_leaf:", "and count < max_leaf:", LEAVES),
+    Mutation("leaf rules: a node of min_leaf triangles is split", BV, "if count > 1 and count > min_leaf:", "if count > 1 and count >= min_leaf:", LEAVES),
+    Mutation("leaf rules: the cost of visiting is 1 whatever was asked for", BV, "if not trav * area + cost", "if not area + cost", LEAVES),
+    Mutation("leaf rules: copies are cut where rounding says", BV, "is_cut = cost < area * count * NO_SMALLER", "is_cut = cost < np.inf", LEAVES),
+    Mutation("leaf rules: halves overlap", BV, "position = start + (end - start) // 2", "position = start + 1", LEAVES),
+    Mutation("leaf rules: binned: a node of min_leaf triangles is split", BN, "if count <= min_leaf:", "if count < min_leaf:", LEAVES),
+    Mutation("leaf rules: binned: no leaf is too large", BN, "and count <= max_leaf:", "and count >= ZERO:", LEAVES),
+    Mutation("leaf rules: binned: halves along x", BN, "axis, position = _longest_axis(nodes, node),", "axis, position = X,", LEAVES),
+    Mutation("leaf rules: a cell of min_leaf triangles is split", KT, "may_pay = n > min_leaf and", "may_pay = n >= min_leaf and", LEAVES),
+    Mutation("leaf rules: a cell may hold one triangle more than max_leaf", KT, "is_forced = n > max_leaf", "is_forced = n > max_leaf + 1", LEAVES),
+    Mutation("leaf rules: a forced plane may part nothing", KT, "max(n_below, n_above) == n and min(n_below, n_above) > 0", "n < 0", LEAVES),
+    Mutation("leaf rules: limits are not written into the footer", "rtrace/trees/leaf_rules.py", 'given | {"max_leaf": int(max_leaf)}', "given", LEAVES),
 ]

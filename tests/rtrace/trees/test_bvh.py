@@ -72,7 +72,7 @@ def reference_tree(triangles, cheapest, trav=1.0, min_leaf=0, max_leaf=None):
         if not pays and (max_leaf is None or n <= max_leaf):
             nodes[slot] = (n, None, sorted(ids))
             return
-        if best is None or not best[0] < area * n:  # no cut makes the children smaller: halves, by number
+        if best is None or not best[0] < area * n * (1 - 2.0**-40):  # no cut makes the children smaller: halves, by number
             best = None, int(np.argmax(high - low)), sorted(ids)[: n // 2], sorted(ids)[n // 2 :]
         nodes[slot] = (n, best[1], sorted(ids))
         at = len(nodes)

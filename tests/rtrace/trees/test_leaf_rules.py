@@ -60,18 +60,20 @@ def test_every_largest_leaf_is_reached(name, builder, most):
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("most", [1, 2, 4, 8])
-def test_a_kdtree_has_larger_leaves_only_where_nothing_parts_them(name, most):
+def test_a_kdtree_goes_on_where_a_plane_parts_the_triangles(name, most):
+    """Triangles with a common edge stay together: the slow builder says where."""
     triangles = SCENES[name]
     tree, default = build_kdtree(triangles, max_leaf=most), build_kdtree(triangles)
-    assert (sizes(tree) > most).mean() < 0.05 and sizes(tree).max() <= max(sizes(default).max(), most)
-    assert (sizes(build_kdtree(triangles, min_leaf=most)) <= most).sum() <= (sizes(default) <= most).sum()
+    assert sizes(tree).max() <= max(sizes(default).max(), most)
+    assert (sizes(tree) > most).mean() <= (sizes(default) > most).mean()
+    assert len(build_kdtree(triangles, min_leaf=most).nodes) <= len(default.nodes)
     assert_same_hits(trace(tree, camera_rays(triangles, 300, 5)), trace_all(triangles, camera_rays(triangles, 300, 5)))
 
 
 @pytest.mark.parametrize("builder", ["sweep", "binned"])
 def test_copies_are_halved(builder):
     tree = build_bvh(np.repeat(soup(1, seed=0), 40_000, axis=0), builder=builder, max_leaf=4)
-    assert 2 < sizes(tree).min() <= sizes(tree).max() <= 4 and tree.max_level == 14
+    assert 2 <= sizes(tree).min() <= sizes(tree).max() <= 4 and tree.max_level == 14
     assert sorted(tree.prims.tolist()) == list(range(40_000))
 
 
