@@ -3,13 +3,12 @@
 The names below are imported when they are used; ``replay``, ``sweep`` and ``grid`` are in the modules of these names.
 """
 
-import importlib
-from typing import Any
+from nptrace_base.lazy import lazy_names
 
 #: Tells this package from another one of its name, see ``nptrace.__main__``.
 PART_OF = "nptrace"
 
-#: Public names, and the module each is in. Importing all of them takes a second, which a command's help does not have.
+#: Public names, and the module that defines each.
 _PLACES = {
     "CacheConfig": "config",
     "Layout": "layout",
@@ -22,24 +21,6 @@ _PLACES = {
     "stack_distances": "stack_distance",
 }
 
-__all__ = [
-    "CacheConfig",
-    "Layout",
-    "Prefetch",
-    "Result",
-    "as_source",
-    "open_source",
-    "parse_layout",
-    "parse_prefetch",
-    "stack_distances",
-]
+__all__ = sorted(_PLACES)
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _PLACES)

@@ -18,6 +18,12 @@ def parse_range(text: str) -> tuple[int, int]:
     return sizes
 
 
+def parse_sizes(text: str) -> list[int]:
+    """Return the byte sizes that a text such as ``4K..64K`` names: its ends and the powers of two between; of ``8K`` that."""
+    low, high = parse_range(text)
+    return sorted({low, high, *(1 << k for k in range(48) if low < 1 << k < high)})
+
+
 def parse_ways_range(text: str) -> tuple[str, ...]:
     """Return the numbers of ways that a text such as ``1..16``, ``4`` or ``full`` names, for ``grid``."""
     low, dots, high = (part.strip() for part in text.partition(".."))

@@ -2,6 +2,7 @@
 
 import errno
 import gc
+import importlib
 import io
 import os
 import signal
@@ -12,7 +13,7 @@ from typing import Any
 
 import click
 
-from nptrace import __version__
+from nptrace import __version__, progress
 from nptrace_base import compiling
 from nptrace_base.errors import NptraceError
 
@@ -50,6 +51,43 @@ class BadInput(click.ClickException):
     exit_code = 2
 
 
+class _Commands(dict[str, click.Command]):
+    """The commands of a program by name, each imported when it is looked up."""
+
+    def __init__(self, program: str, names: list[str]) -> None:
+        super().__init__(dict.fromkeys(names))  # type: ignore[arg-type]
+        self._program = program
+
+    def __getitem__(self, name: str) -> click.Command:
+        if super().__getitem__(name) is None:
+            found = vars(importlib.import_module(f"nptrace.commands.{name}"))
+            command: click.Command = found.get(f"{name}_") or found[name]
+            _version_option(self._program)(command)
+            _level_option("-q", "--quiet", progress.QUIET, "Print results and errors only.")(command)
+            _level_option("-v", "--verbose", progress.VERBOSE, "Print also notes that carry no news.")(command)
+            self[name] = command
+        return super().__getitem__(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        if name not in self:
+            return default
+        return self[name]
+
+
+def _version_option(program: str) -> Any:
+    return click.version_option(__version__, prog_name=program, message="%(prog)s %(version)s")
+
+
+def _level_option(short: str, long: str, level: int, help: str) -> Any:
+    """Return the option that sets how much is said."""
+
+    def choose(ctx: click.Context, param: click.Parameter, is_chosen: bool) -> None:
+        if is_chosen:
+            progress.level = level
+
+    return click.option(short, long, is_flag=True, is_eager=True, expose_value=False, callback=choose, help=help)
+
+
 class Command(click.Command):
     """A command with ``old`` spellings of its options, which still work and say what to write instead."""
 
@@ -64,7 +102,7 @@ class Command(click.Command):
                 break
             name, equals, value = text.partition("=")
             if name in self._old:
-                click.echo(f"{name} is now {self._old[name]}; the old spelling will go", err=True)
+                progress.say(f"{name} is now {self._old[name]}; the old spelling will go")
                 args[i] = self._old[name] + equals + value
         return super().parse_args(ctx, args)
 
@@ -72,13 +110,14 @@ class Command(click.Command):
 class Commands(click.Group):
     """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback.
 
-    It and each of its commands have ``--version``, ``-h`` and ``--help``.
+    It and each of its commands have ``--version``, ``-h`` and ``--help``. A command is a function in the module of its name in
+    ``nptrace.commands``, with a trailing underscore where the name is Python's; it is imported when it is needed.
     """
 
-    def __init__(self, name: str, commands: list[click.Command], **kwargs: Any) -> None:
-        super().__init__(name, commands, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
-        for command in (self, *commands):
-            click.version_option(__version__, prog_name=name, message="%(prog)s %(version)s")(command)
+    def __init__(self, name: str, commands: list[str], **kwargs: Any) -> None:
+        super().__init__(name, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
+        self.commands = _Commands(name, commands)
+        _version_option(name)(self)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run as a program: a message announces compiling, Ctrl-C ends it quietly."""
@@ -87,7 +126,7 @@ class Commands(click.Group):
         gc.set_threshold(*compiling.GC_THRESHOLD)
         # Before NumPy is imported: no command multiplies large matrices, and OpenBLAS's idle threads spin for 0.1 s.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        compiling.announce = lambda text: click.echo(text, err=True)
+        compiling.announce = progress.say
         interrupt = Interrupt()
         try:
             return super().__call__(**kwargs)
@@ -103,6 +142,7 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""
+        progress.level = progress.USUAL
         try:
             return super().invoke(ctx)
         except BrokenPipeError:

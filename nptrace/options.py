@@ -1,15 +1,13 @@
 """Options that several commands share, and the types of their values."""
 
 import os
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import click
 
 from nptrace.groups import BadInput
 from nptrace_base.errors import NptraceError
-
-if TYPE_CHECKING:
-    pass
 
 
 class ListOf(click.ParamType):
@@ -28,16 +26,35 @@ class ListOf(click.ParamType):
             raise BadInput(f"{param.opts[0]}: {e}" if param else str(e)) from e
 
 
+def joined(ctx: click.Context, param: click.Parameter, values: tuple[list[list[Any]], ...]) -> list[Any]:
+    """Join the lists of a repeated option whose items are lists, as ranges are, without repetitions."""
+    return list(dict.fromkeys(item for value in values for items in value for item in items))
+
+
 def merged(ctx: click.Context, param: click.Parameter, values: tuple[list[Any], ...]) -> list[Any]:
     """Join the lists of a repeated option, without repetitions."""
     return list(dict.fromkeys(item for value in values for item in value))
 
 
-def list_option(*names: str, item: Any, metavar: str, default: str, help: str) -> Any:
+def list_option(*names: str, item: Any, metavar: str, default: str, help: str, callback: Callable[..., Any] = merged) -> Any:
     """Return an option that may be repeated and takes comma-separated lists."""
     return click.option(
         *names, type=ListOf(metavar, item), metavar=metavar, multiple=True, default=[default], show_default=True,
-        callback=merged, help=help,
+        callback=callback, help=help,
+    )  # fmt: skip
+
+
+def size_option() -> Any:
+    """Return the option for the sizes of caches, single ones or powers of two in ranges."""
+
+    def parse(text: str) -> list[int]:
+        from cachesim.grid import parse_sizes
+
+        return parse_sizes(text)
+
+    return list_option(
+        "--size", item=parse, metavar="SIZES", default="8K", callback=joined,
+        help="Cache sizes, and ranges of powers of two, e.g. 8K,16K or 4K..64K.",
     )  # fmt: skip
 
 

@@ -7,7 +7,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import Scene
 from rtrace.scenes.stand_ins import stand_in
-from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, node_table
+from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, in_format, node_table
 from rtrace.trees.tree_cache import TREES, build_tree
 from traces.din import export_din
 from traces.reader import open_run
@@ -33,8 +34,11 @@ from traces.reader import open_run
 PROGRAM = "from nptrace.precompile import compile_part; compile_part"
 
 
-def compile_all() -> int:
-    """Compile every kernel of the commands that is not in the cache; return how many were compiled."""
+def compile_all(watch: Callable[[int, bool], object] = lambda n_compiled, is_busy: None) -> int:
+    """Compile every kernel of the commands that is not in the cache; return how many were compiled.
+
+    ``watch`` is called with the number of kernels begun so far, and whether any is being compiled.
+    """
     # Numba's global lock lets threads compile only one after another. A fork may inherit locks that other threads hold.
     # They are in separate sessions, so Ctrl-C reaches this process alone.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
@@ -45,11 +49,13 @@ def compile_all() -> int:
         )
         for part in range(len(PARTS))
     ]  # fmt: skip
-    try:
-        printed = [child.communicate()[0] for child in children]
-    except BaseException:
-        _end(children)
-        raise
+    with ThreadPoolExecutor(len(children)) as pool:
+        try:
+            printed = list(pool.map(_Follower(watch), children))
+        except BaseException:
+            _end(children)  # then the threads end too
+            raise
+    watch(0, False)
     if any(child.returncode for child in children):
         raise RuntimeError("compiling failed, as printed above")
     total = 0
@@ -58,6 +64,26 @@ def compile_all() -> int:
         for what, sentence in lost.items():
             compiling.lose(what, sentence)
     return total
+
+
+#: What a process prints when it begins a kernel.
+BEGUN = "+\n"
+
+
+class _Follower:
+    """Reads what a process prints: counts the kernels it begins, for ``watch``, and returns the last line."""
+
+    def __init__(self, watch: Callable[[int, bool], object]) -> None:
+        self._watch, self._n_begun = watch, 0
+
+    def __call__(self, child: subprocess.Popen[str]) -> str:
+        last = ""
+        for last in child.stdout or ():
+            if last == BEGUN:
+                self._n_begun += 1
+                self._watch(self._n_begun, True)
+        child.wait()
+        return last
 
 
 def _end(children: Sequence[subprocess.Popen[str]]) -> None:
@@ -73,10 +99,22 @@ def _end(children: Sequence[subprocess.Popen[str]]) -> None:
 
 
 def compile_part(part: int) -> None:
-    """Compile one of ``PARTS`` in this process; print how many kernels it compiled and what it could not store, as JSON."""
+    """Compile one of ``PARTS`` in this process.
+
+    Prints ``BEGUN`` for each kernel; at last how many kernels it compiled and what it could not store, as JSON.
+    """
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     gc.set_threshold(*compiling.GC_THRESHOLD)
+    n_told = 0
+
+    def tell(n_compiled: int, is_busy: bool) -> None:
+        nonlocal n_told
+        print(BEGUN * (n_compiled - n_told), end="", flush=True)
+        n_told = n_compiled
+
+    compiling.watch = tell
     PARTS[part]()
+    compiling.watch = None
     print(json.dumps([compiling.n_compiled, compiling.lost]))
 
 
@@ -139,4 +177,4 @@ def _smallest_tree(scene: Scene, kind: str) -> Tree:
         nodes["child"] = 1, 0, n
     prims = np.concatenate([np.arange(n, dtype=np.int32)] * 2)
     corners, params = np.take(scene.triangles, prims, axis=0), {"builder": "by hand"}
-    return Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, scene.bounds, 1, params)
+    return in_format(Tree(kind, nodes, prims, corners, scene.triangles, scene.bounds, scene.bounds, 1, params), kind)

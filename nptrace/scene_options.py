@@ -9,12 +9,27 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput
-from nptrace.options import threads_option
+from nptrace.options import ListOf, merged, threads_option
+from nptrace.progress import Progress, say
 
 if TYPE_CHECKING:
     from rtrace.camera import Camera
     from rtrace.render import Shooting
     from rtrace.scenes.scene import Scene
+
+
+def accel_option() -> Any:
+    """Return the option for the trees, as a list of names."""
+    return click.option(
+        "--accel", type=ListOf("TREES", _tree), metavar="TREES", multiple=True, callback=merged,
+        help="Trees to build, kdtree and bvh; both by default.",
+    )  # fmt: skip
+
+
+def _tree(name: str) -> str:
+    if name not in ("kdtree", "bvh"):
+        raise BadInput(f"--accel: {name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
+    return name
 
 
 def scene_options(command: Any) -> Any:
@@ -34,16 +49,20 @@ def load_scenes(
     from rtrace.camera import parse_camera, parse_point
     from rtrace.scenes.catalog import load_scene
     from rtrace.scenes.scene import dropped_sentence, seen_from
+    from traces.format import printable
 
     views: list[Camera | None] = [*map(parse_camera, cameras)] or [None]
     lamp = parse_point(light) if light else None
     scenes = []
-    for name in names:
-        scene = load_scene(name, strict=strict, download=not offline, notify=lambda text: click.echo(text, err=True))
-        for sentence in (dropped_sentence(scene), *scene.notes):
-            if sentence:
-                click.echo(sentence, err=True)
-        scenes += [seen_from(scene, view, lamp) for view in views]
+    with Progress(len(names)) as progress:
+        for name in names:
+            progress.job(printable(name))
+            progress.phase("load")
+            scene = load_scene(name, strict=strict, download=not offline, notify=say)
+            for sentence in (dropped_sentence(scene), *scene.notes):
+                if sentence:
+                    say(sentence)
+            scenes += [seen_from(scene, view, lamp) for view in views]
     return scenes
 
 
@@ -57,21 +76,38 @@ def check_run_names(names: Sequence[str], n_pictures: int) -> None:
             raise BadInput(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")
 
 
-#: Parameters of the kd-tree builder that a user may set, and the type of each.
-KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int}
+#: Parameters of the builders that a user may set, and the type of each.
+BVH_PARAMS = {"c_trav": float, "c_isect": float, "min_leaf": int, "max_leaf": int}
+KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int, "min_leaf": int, "max_leaf": int}
+BVH_BUILDERS = ("sweep", "binned")
 
 
 def parse_kd(text: str) -> dict[str, Any]:
     """Return the builder's parameters that ``text`` sets: ``coarse`` or NAME=VALUE, separated by commas."""
+    return _parse_builder("--kd", text, {"coarse": {"max_level": 16}}, KD_PARAMS)
+
+
+def parse_bvh(text: str) -> dict[str, Any]:
+    """Return the builder and its parameters that ``text`` sets: ``sweep``, ``binned`` or NAME=VALUE, separated by commas."""
+    return {"builder": "sweep"} | _parse_builder("--bvh", text, {name: {"builder": name} for name in BVH_BUILDERS}, BVH_PARAMS)
+
+
+def _parse_builder(
+    option: str, text: str, words: dict[str, dict[str, Any]], names: dict[str, type[float] | type[int]]
+) -> dict[str, Any]:
     params: dict[str, Any] = {}
     for part in filter(None, text.split(",")):
-        name, equals, value = ("max_level", "=", "16") if part == "coarse" else part.partition("=")
-        if not equals or name not in KD_PARAMS:
-            raise BadInput(f"--kd: {part!r} is neither coarse nor NAME=VALUE with one of the names {', '.join(KD_PARAMS)}")
-        try:
-            params[name] = KD_PARAMS[name](value)
-        except ValueError:
-            raise BadInput(f"--kd: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
+        name, equals, value = part.partition("=")
+        if part in words:
+            params |= words[part]
+        elif not equals or name not in names:
+            either = " nor ".join([*words, "NAME=VALUE"])
+            raise BadInput(f"{option}: {part!r} is neither {either} with one of the names {', '.join(names)}")
+        else:
+            try:
+                params[name] = names[name](value)
+            except ValueError:
+                raise BadInput(f"{option}: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
     return params
 
 
@@ -79,13 +115,14 @@ def parse_kd(text: str) -> dict[str, Any]:
 BVH_NODES = ["32", "64"]
 
 
-def tree_params(accel: Sequence[str], kd_text: str, bvh_builder: str, bvh_nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
+def tree_params(accel: Sequence[str], kd_text: str, bvh_text: str, bvh_nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the parameters of the builder of each kind of tree, from --accel (both if empty), --kd, --bvh and --bvh-nodes."""
     from traces.node_formats import NODE_FORMATS, formats_of
 
     params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text)}
     formats = formats_of("bvh")
-    params |= {formats[int(node_bytes)].name: {"builder": bvh_builder} for node_bytes in bvh_nodes}
+    bvh = parse_bvh(bvh_text)
+    params |= {formats[int(node_bytes)].name: bvh for node_bytes in bvh_nodes}
     return {kind: given for kind, given in params.items() if not accel or NODE_FORMATS[kind].tree in accel}
 
 
@@ -104,7 +141,7 @@ class Picture:
     order: str = "scanline"
     batch: int = 1
     kd_text: str = ""
-    bvh_builder: str = "sweep"
+    bvh_text: str = ""
     bvh_nodes: tuple[str, ...] = ("32",)
     seed: int = 0
     exact_below: int = 100_000_000
@@ -123,7 +160,7 @@ SAME = "As in nptrace render."
 
 def picture_options(command: Any) -> Any:
     """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace on demand."""
-    orders, builders = ["scanline", "tile", "morton", "hilbert", "random"], ["sweep", "binned"]
+    orders = ["scanline", "tile", "morton", "hilbert", "random"]
     for option in reversed((
         click.option("--pixels", default="2048x2048", show_default=True, metavar="WxH", help="Size of the picture."),
         click.option("--camera", metavar="TEXT", help=SAME),
@@ -131,7 +168,7 @@ def picture_options(command: Any) -> Any:
         click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help=SAME),
         click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help=SAME),
         click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help=SAME),
-        click.option("--bvh", "bvh_builder", type=click.Choice(builders), default="sweep", show_default=True, help=SAME),
+        click.option("--bvh", "bvh_text", metavar="BUILDER,NAME=VALUE,...", default="sweep", show_default=True, help=SAME),
         bvh_nodes_option(SAME),
         click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the sample and the order."),
         click.option(

@@ -9,10 +9,14 @@ import click
 
 from nptrace.groups import BadInput
 
-PREFETCH_HELP = (
-    "Prefetch policy: none, traced, stack[:budget=K|tris*K|unlimited][:once][:empty], next-line:always|miss|tagged[:DISTANCE]."
-)
 LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
+
+
+def prefetch_help(*, is_timed: bool = True) -> str:
+    """Return what ``--prefetch`` says of the policies; without a clock, of those that need none."""
+    from cachesim.policies import described
+
+    return "Prefetch policies: " + "; ".join(f"{form}: {text}" for form, text in described().values()) + "."
 
 
 def chosen_sources(sources: Sequence[Path], folder: Path) -> list[Path]:
@@ -20,11 +24,20 @@ def chosen_sources(sources: Sequence[Path], folder: Path) -> list[Path]:
     from traces.reader import find_runs
 
     if sources:
-        return list({os.path.realpath(path) if str(path) != "-" else path: path for path in reversed(sources)}.values())[::-1]
+        named = [path for source in sources for path in (_runs_in(source) or [source])]
+        return list({os.path.realpath(path) if str(path) != "-" else path: path for path in reversed(named)}.values())[::-1]
     found = find_runs(folder)
     if not found:
         raise BadInput(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a .din file")
     return found
+
+
+def _runs_in(folder: Path) -> list[Path]:
+    """Return the runs in a folder that holds runs and is none."""
+    from traces.format import FILES
+    from traces.reader import find_runs
+
+    return [] if any((folder / name).exists() for name in FILES) else find_runs(folder)
 
 
 def traces_option() -> Any:

@@ -3,26 +3,48 @@
 Imports nothing heavy, so that ``cli`` can set ``announce`` before it knows which command runs.
 """
 
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 #: Called with one sentence when the first kernel of this process has to be compiled, and when kernels or trees cannot be
 #: stored. None disables the notice.
 announce: Callable[[str], object] | None = None
+#: Called with the number of kernels begun, and whether one is being compiled, whenever that changes; None: nobody looks.
+watch: Callable[[int, bool], object] | None = None
 #: For ``gc.set_threshold``: importing and compiling make millions of lasting objects, and searching them for
 #: cycles took a fifth of the time.
 GC_THRESHOLD = 100_000, 50, 50
 n_compiled = 0  # kernels compiled by this process; those loaded from the cache do not count
 lost: dict[str, str] = {}  # what could not be stored, and the sentence about it
+_busy = 0  # kernels being compiled: one waits for those it calls
+_lock = threading.Lock()
 
 
 def started(folder: Path | None) -> None:
     """Record that a kernel is being compiled (``jit`` calls this) to be stored in ``folder``; announce the first."""
-    global n_compiled
-    n_compiled += 1
-    if n_compiled == 1 and announce is not None:
-        kept = f": kept in {folder}" if folder else ""
-        announce(f"compiling for this machine, once (all of it takes about half a minute){kept}")
+    global n_compiled, _busy
+    with _lock:
+        n_compiled += 1
+        _busy += 1
+        number = n_compiled
+    if number == 1 and announce is not None:
+        # How long everything takes is said once, by the first command after an installation or a change.
+        is_first = folder is None or next(folder.glob("*/*.nbi"), None) is None
+        how_long = " (all of it takes about half a minute)" if is_first else ", kernels that only this command needs"
+        announce(f"compiling for this machine, once{how_long}" + (f": kept in {folder}" if folder else ""))
+    if watch is not None:
+        watch(number, True)
+
+
+def ended() -> None:
+    """Record that a kernel is compiled."""
+    global _busy
+    with _lock:
+        _busy = max(_busy - 1, 0)
+        is_busy = _busy > 0
+    if watch is not None:
+        watch(n_compiled, is_busy)
 
 
 def not_kept(what: str, tried: Mapping[Path, Exception]) -> None:

@@ -106,7 +106,7 @@ class _Noticed(event.Listener):
         compiling.started(cache_folder())
 
     def on_end(self, event: event.Event) -> None:
-        pass
+        compiling.ended()
 
 
 class _Place:

@@ -3,13 +3,12 @@
 The names below are imported when they are used; ``rtrace.render`` is the module, and has the function of that name.
 """
 
-import importlib
-from typing import Any
+from nptrace_base.lazy import lazy_names
 
 #: Tells this package from another one of its name, see ``nptrace.__main__``.
 PART_OF = "nptrace"
 
-#: Public names, and the module each is in. Importing all of them takes a second, which a command's help does not have.
+#: Public names, and the module that defines each.
 _PLACES = {
     "Camera": "camera",
     "RayUnits": "ray_source",
@@ -26,28 +25,6 @@ _PLACES = {
     "seen_from": "scenes.scene",
 }
 
-__all__ = [
-    "Camera",
-    "RayUnits",
-    "Scene",
-    "SceneError",
-    "Shooting",
-    "Tree",
-    "build_tree",
-    "cached_tree",
-    "load_mesh",
-    "load_scene",
-    "render_all",
-    "scene_from_triangles",
-    "seen_from",
-]
+__all__ = sorted(_PLACES)
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _PLACES)

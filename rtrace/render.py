@@ -8,7 +8,7 @@ import shlex
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -18,10 +18,11 @@ import numpy as np
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
-from rtrace.camera import ORDERS, check_size, format_camera, pixel_order
+from rtrace.camera import format_camera, pixel_order
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
 from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
+from rtrace.shooting import Shooting as Shooting
 from rtrace.traverse import NoRoomError
 from rtrace.trees.tree import Tree, node_table
 from rtrace.trees.tree_cache import cached_tree
@@ -34,37 +35,10 @@ from traces.writer import RunWriter, refuse_other
 CHUNK = 8192  # pixels: some ms of work, so that threads end together, and some MB of accesses
 AHEAD = 1  # chunks traced but not yet written, per thread
 
+#: Called with a run, its phase, and an amount to do or None; returns what is called with the amount done.
+Phase = Callable[[str, str, int | None], Callable[[int], object]]
+
 _Piece = tuple[int, int, int | None]  # first pixel, the one after the last, which pass
-
-
-@dataclass(frozen=True, slots=True)
-class Shooting:
-    """Which rays are traced, and in which order.
-
-    Attributes
-    ----------
-    width, height : int
-        Pixels; one primary ray each, through its centre, and a shadow ray where it hits a surface that faces the light.
-    order : str
-        One of ``camera.ORDERS``.
-    batch : int
-        Primary rays traced before their shadow rays; 0 means all of them.
-    seed : int
-        Seed of the random order.
-    """
-
-    width: int = 128
-    height: int = 128
-    order: str = "scanline"
-    batch: int = 1
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_size(self.width, self.height)
-        if self.order not in ORDERS:
-            raise NptraceError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
-        if not 0 <= self.batch < 1 << 32:
-            raise NptraceError(f"batch must be 0 (all primary rays first) or up to 2^32 - 1, got {self.batch}; write e.g. 64")
 
 
 class Summary(NamedTuple):
@@ -156,9 +130,12 @@ def _pieces(n: int, batch: int) -> Iterator[_Piece]:
 
 def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
     """Return the command that makes this run again, with every option spelled out."""
-    params = ",".join(f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs"))
+    given = [f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs")]
     node_format = NODE_FORMATS[tree.kind]
-    builder = ["--kd", params] if node_format.tree == "kdtree" else ["--bvh", tree.params["builder"]]
+    if node_format.tree == "kdtree":
+        builder = ["--kd", ",".join(given)]
+    else:
+        builder = ["--bvh", ",".join([tree.params["builder"], *given])]
     if node_format.version > 1:
         builder += ["--bvh-nodes", str(node_format.node_bytes)]
     words = [
@@ -191,6 +168,7 @@ def render(
     threads: int = 2,
     tool_version: str = "",
     progress: Callable[[int], object] = lambda pixels: None,
+    on_write: Callable[[], object] = lambda: None,
 ) -> Summary:
     """Trace a picture and write the run at ``path`` atomically.
 
@@ -198,6 +176,8 @@ def render(
     ----------
     progress : callable
         Called with the number of pixels done, chunk by chunk.
+    on_write : callable
+        Called when all is traced and the files are completed.
     """
     node_format = NODE_FORMATS[tree.kind]
     fields = SPLIT if node_format.tree == "kdtree" else BOX
@@ -222,6 +202,7 @@ def render(
             if chunk.is_shaded:
                 picture[chunk.pixels] = chunk.colours
                 progress(len(chunk.pixels))
+        on_write()
         run.complete()
         run.image(_png(picture.reshape(shooting.height, shooting.width, 3)))
     n_bytes = sum(file.stat().st_size for file in path.iterdir())
@@ -242,12 +223,14 @@ def render_all(
     overwrite: bool = True,
     threads: int = 2,
     tool_version: str = "",
-    progress: Callable[[int], object] = lambda pixels: None,
+    on_phase: Phase = lambda run, phase, total: lambda done: None,
 ) -> Iterator[Summary]:
     """Render each scene with each tree of ``params`` (kind -> builder parameters) as a run in ``folder``.
 
     ``run_names`` names the runs; with ``names``, one per scene, they are ``<name>-<tree>``. The trees are built by threads
-    ahead of the pictures; summaries come as the runs are written.
+    ahead of the pictures; summaries come as the runs are written. ``on_phase`` is called at the start of each phase of a run,
+    ``build``, ``trace`` and ``write``, with the run's name, and for ``trace`` with the number of pixels; what it returns is
+    called with the number done.
 
     Raises
     ------
@@ -267,7 +250,13 @@ def render_all(
             if path.exists() and not overwrite:
                 refuse_other(path, footer_of(scene, tree.result(), shooting, tool_version))
         for path, (scene, tree) in zip(paths, jobs, strict=True):
-            yield render(scene, tree.result(), shooting, path, threads=threads, tool_version=tool_version, progress=progress)
+            on_phase(path.name, "build", None)
+            built = tree.result()
+            traced = on_phase(path.name, "trace", shooting.width * shooting.height)
+            yield render(
+                scene, built, shooting, path, threads=threads, tool_version=tool_version, progress=traced,
+                on_write=partial(on_phase, path.name, "write", None),
+            )  # fmt: skip
 
 
 def _png(pixels: np.ndarray) -> bytes:

@@ -7,21 +7,19 @@
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rtrace.scenes.scene import Scene
+from rtrace.shooting import Shooting
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from traces.identity import STAND_IN
 from traces.node_formats import NODE_FORMATS
 
-if TYPE_CHECKING:
-    from rtrace.render import Shooting
-
 _BUILDERS: dict[str, Callable[..., Any]] = {"kdtree": build_kdtree, "bvh": build_bvh}
 
 
-def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: "Shooting") -> str:
+def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: Shooting) -> str:
     """Return the name of a run; of ``params``, those of the tree's builder, only other values than its defaults count."""
     parts = [scene.name, *([STAND_IN] if scene.stand_in else []), kind, *_builder_parts(kind, params)]
     usual = {each.name: each.default for each in fields(shooting)}

@@ -36,6 +36,7 @@ def headings_and_keys(tmp_path_factory):
         for form in ([], ["--json"]):
             for program, *args in (
                 (cli.nptrace, "render", "bunny", *SMALL, "--out", traces), (cli.nptrace, "scenes"),
+                (cli.nptrace, "info", "--traces", traces),
                 (cli.nptrace, "check", "blob", *SMALL, "--random", 50), (cli.npcache, "table1", "--traces", traces),
                 (cli.npcache, "replay", "--traces", traces, *CACHES, "--3c"),
                 (cli.npcache, "estimate", "blob", *CACHES, "--pixels", "16x16", "--offline"),

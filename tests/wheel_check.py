@@ -19,10 +19,10 @@ TOP = {"cachesim", "cli.py", "nptrace", "nptrace_base", "rtrace", "traces"}
 FOREIGN = ("jit", "options", "compiling", "precompile", "errors", "tables", "atomic")
 JOB = (
     ("nptrace", "--version"),
-    ("nptrace", "render", "sponza", "bunny", "--offline", "--pixels", "48x48"),
+    ("nptrace", "render", "sponza", "bunny", "--name", "sponza", "--name", "bunny", "--offline", "--pixels", "48x48"),
     ("npcache", "replay", "--size", "8K,16K", "--assoc", "1,2", "--json"),
     ("npcache", "table1"),
-    ("nptrace", "export", "traces/sponza-bvh", "--to", "din"),
+    ("nptrace", "export", "traces/sponza-bvh"),
     ("npcache", "sweep", "sponza-bvh.din", "--size", "1K..8K"),
 )
 

@@ -3,13 +3,12 @@
 The names below are imported when they are used.
 """
 
-import importlib
-from typing import Any
+from nptrace_base.lazy import lazy_names
 
 #: Tells this package from another one of its name, see ``nptrace.__main__``.
 PART_OF = "nptrace"
 
-#: Public names, and the module each is in. Importing all of them takes a second, which a command's help does not have.
+#: Public names, and the module that defines each.
 _PLACES = {
     "DinTrace": "din",
     "Footer": "footer",
@@ -21,23 +20,6 @@ _PLACES = {
     "open_run": "reader",
 }
 
-__all__ = [
-    "DinTrace",
-    "Footer",
-    "Run",
-    "RunError",
-    "RunWriter",
-    "export_din",
-    "find_runs",
-    "open_run",
-]
+__all__ = sorted(_PLACES)
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = lazy_names(__name__, _PLACES)

@@ -8,7 +8,7 @@ ready, then prefetches, of the slot that has waited longest. A demand read that 
 import numpy as np
 
 from cachesim.clock.calendar import NEVER, enter, lowest_bit, next_cycle, take_word
-from cachesim.clock.state import BOX, FREE, HIT, IDLE, LATE, LEAF, MISS, MSHR, PORT, TEST, TRIANGLE, UNIT, VISIT
+from cachesim.clock.state import BOX, CYCLES, FREE, HIT, IDLE, LATE, LEAF, MISS, MSHR, PORT, TEST, TRIANGLE, UNIT, VISIT
 from cachesim.fast_lru import set_of
 from cachesim.policies import hooks
 from cachesim.policies.machine import FIRST_USE, IN_FLIGHT, LOST, PUSHED_OUT, RESIDENT, UNUSED, first_waiting, stop_waiting
@@ -21,6 +21,8 @@ from traces.format import PUSH as KIND_PUSH
 
 #: What an entry of the log is about.
 LOG_READ, LOG_BOX, LOG_TRIANGLES, LOG_PREFETCH = range(4)
+
+N_CAUSES = len(CYCLES)
 
 
 @kernel(_nrt=False)
@@ -306,7 +308,7 @@ def _use_port(unit, machine, clock, parameters, now):
         numbers.n_queued -= 1
         clock.cycles[ray.data_from] += ray.data_at - now
         clock.cycles[BOX] += parameters.box
-        _note(clock, now, ray.data_at - now, slot, LOG_READ, ray.last_node, ray.number)
+        _note(clock, now, ray.data_at - now, slot, LOG_READ, ray.last_node, ray.number * N_CAUSES + ray.data_from)
         _note(clock, ray.data_at, parameters.box, slot, LOG_BOX, ray.last_node, ray.number)
         _after_box(machine, clock, parameters, slot, now, ray.data_at + parameters.box)
     while free > 0:
@@ -413,7 +415,7 @@ def _ask_memory(machine, clock, parameters, line, now):
 @inlined
 def _note(clock, cycle, length, slot, what, node, number):
     """Keep an event for the timeline."""
-    if clock.log.shape[0] == 0:
+    if clock.log.shape[0] == 0 or clock.numbers[0].next_ray < clock.log_from:
         return
     n = clock.numbers[0].n_logged
     if n < clock.log.shape[0]:

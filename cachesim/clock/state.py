@@ -72,6 +72,7 @@ class ClockState(NamedTuple):
     units_free: np.ndarray  # (n_units,) int64: cycle in which each intersection unit takes the next leaf
     cycles: np.ndarray  # (9,) int64
     log: np.ndarray  # (n, 6) int64: events of the timeline; none are kept if it is empty
+    log_from: int  # the ray whose start begins the timeline
 
 
 class Rows(NamedTuple):
@@ -89,8 +90,8 @@ class Rows(NamedTuple):
     is_last: bool
 
 
-def make_state(config: CacheConfig, machine: Machine, parameters: Parameters, n_logged: int = 0) -> ClockState:
-    """Return the state before the first cycle; the timeline keeps ``n_logged`` events."""
+def make_state(config: CacheConfig, machine: Machine, parameters: Parameters, n_logged: int = 0, log_from: int = 0) -> ClockState:
+    """Return the state before the first cycle; the timeline keeps ``n_logged`` events from the start of a ray on."""
     n_slots, n_lines = machine.sp.size, machine.status.size
     return ClockState(
         slots=np.full(n_slots, -1, np.int64).repeat(SLOT.itemsize // 8).view(SLOT).view(np.recarray),
@@ -103,4 +104,5 @@ def make_state(config: CacheConfig, machine: Machine, parameters: Parameters, n_
         units_free=np.zeros(parameters.n_units, np.int64),
         cycles=np.zeros(len(CYCLES), np.int64),
         log=np.zeros((n_logged, 6), np.int64),
+        log_from=log_from,
     )

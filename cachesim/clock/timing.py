@@ -186,7 +186,7 @@ def time_run(
     _check(configs, clocks, stretches.n_rays)
     none = parse_prefetch("none")
     wanted = [(config, clock, prefetch) for config, clock in product(configs, clocks) for prefetch in (none, *policies)]
-    workshop = _Workshop(source, threads or os.cpu_count() or 1, progress)
+    workshop = Workshop(source, threads or os.cpu_count() or 1, progress)
     scouting = [workshop.job(*each, is_scout=True) for each in wanted]
     scouts = [job for job in scouting if job is not None]
     if scouts:
@@ -212,16 +212,17 @@ def _check(configs: Sequence[CacheConfig], clocks: Sequence[Clock], n_rays: int)
             raise NptraceError(f"rays={clock.rays} cannot be in flight: the run has {n_rays} rays that read nodes; use fewer")
 
 
-class _Workshop:
+class Workshop:
     """Makes jobs for one source, and runs them together."""
 
-    def __init__(self, source: RunSource, threads: int, progress: Callable[[int], object] | None) -> None:
+    def __init__(self, source: RunSource, threads: int, progress: Callable[[int], object] | None = None) -> None:
         self._source, self._threads, self._progress = source, threads, progress
         self._trees: dict[int, tuple[Tree, int]] = {}
         self._boxes = source.run.footer.tree.node_format.boxes
 
     def job(
-        self, config: CacheConfig, clock: Clock, prefetch: Prefetch, *, is_scout: bool = False, scout: _Job | None = None
+        self, config: CacheConfig, clock: Clock, prefetch: Prefetch, *, is_scout: bool = False, scout: _Job | None = None,
+        log: tuple[int, int] = (0, 0),
     ) -> _Job | None:  # fmt: skip
         """Return a job, or with ``is_scout`` that of the pass before, None if the policy needs none."""
         policy = prefetch.policy
@@ -240,7 +241,18 @@ class _Workshop:
             skips=self._boxes in (NO_BOX, CHILD_BOXES), follows=self._boxes in (NO_BOX, CHILD_BOXES),
             watches_leaves=policy.watches_leaves, mask=set_mask(config.n_sets),
         )  # fmt: skip
-        return _Job(prefetch, parameters, machine, make_state(config, machine, parameters), unit)
+        return _Job(prefetch, parameters, machine, make_state(config, machine, parameters, *log), unit)
+
+    def log(self, config: CacheConfig, clock: Clock, prefetch: Prefetch, n_events: int) -> list[list[int]]:
+        """Return events of one job from the middle of the run on, as ``kernel._note`` keeps them."""
+        stretches = Stretches(self._source)
+        scout = self.job(config, clock, prefetch, is_scout=True)
+        if scout is not None:
+            self.run_all([scout], stretches)
+        job = self.job(config, clock, prefetch, scout=scout, log=(n_events, stretches.n_rays // 2))
+        assert job is not None
+        self.run_all([job], stretches)
+        return job.clock.log[: int(job.clock.numbers[0].n_logged)].tolist()
 
     def _unit(
         self, policy: Policy, machine: Machine, facts: Facts, options: Any, is_scout: bool, scout: _Job | None

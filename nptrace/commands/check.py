@@ -1,12 +1,14 @@
 """nptrace check: our hits against Embree's, and the catalogue of hard cases."""
 
 import math
+import time
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from nptrace.groups import BadInput, Command
 from nptrace.output import Output, results_options
+from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
 
 if TYPE_CHECKING:
@@ -38,22 +40,33 @@ def check(
     if not names and not hard:
         raise BadInput("name a scene to compare with Embree, or give --hard")
     width, height = parse_size(pixels)
+    began = time.perf_counter()
     rows: list[dict[str, Any]] = []
     if hard:
         from rtrace.checks.hard_cases import run_all
 
-        rows += [{**row._asdict(), "is_good": row.is_good} for row in run_all(is_long)]
+        with Progress(1) as bar:
+            bar.job("hard cases")
+            for row in run_all(is_long):
+                bar.phase(f"{row.case}, {row.structure}")
+                rows.append({**row._asdict(), "is_good": row.is_good})
     if names:
         from rtrace.checks.embree import compare
         from rtrace.trees.tree_cache import TREES, cached_tree
 
-        for scene in load_scenes(names, strict, offline):
-            trees = [cached_tree(scene, kind) for kind in TREES]
-            compared = compare(trees, scene, width, height, n_random, seed)
-            of = {"scene": scene.name, "stand_in": scene.stand_in, "width": width, "height": height, "seed": seed}
-            rows += [{**of, **row._asdict(), "is_good": row.is_good} for row in compared]
+        scenes = load_scenes(names, strict, offline)
+        with Progress(len(scenes)) as bar:
+            for scene in scenes:
+                bar.job(scene.label)
+                bar.phase("build")
+                trees = [cached_tree(scene, kind) for kind in TREES]
+                bar.phase("compare with Embree")
+                compared = compare(trees, scene, width, height, n_random, seed)
+                of = {"scene": scene.name, "stand_in": scene.stand_in, "width": width, "height": height, "seed": seed}
+                rows += [{**of, **row._asdict(), "is_good": row.is_good} for row in compared]
     n_bad = sum(not row["is_good"] for row in rows)
     output.write(rows, lambda: (tables_of(rows), [f"{len(rows)} comparisons, {n_bad} beyond their limit."]))
+    done(f"{len(rows)} comparisons, {sum(row['n_rays'] for row in rows):,} rays", began)
     if n_bad:
         raise SystemExit(1)
 

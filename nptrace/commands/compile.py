@@ -1,7 +1,10 @@
 """nptrace compile: compile every kernel ahead of its first use."""
 
+import time
+
 import click
 
+from nptrace.progress import Progress, done
 from nptrace_base import compiling
 
 
@@ -11,6 +14,11 @@ def compile_() -> None:
     from nptrace.precompile import compile_all
     from nptrace_base.jit import cache_folder
 
-    n_compiled = compile_all()
+    began = time.perf_counter()
+    with Progress(1) as bar:
+        bar.job("compile")
+        bar.phase("about half a minute")
+        n_compiled = compile_all(bar.on_compiling)
     kept = "" if "kernels" in compiling.lost else f", all ready in {cache_folder()}"
     click.echo(f"{n_compiled} kernels compiled{kept}")
+    done(f"{n_compiled} kernels", began, "nptrace render sponza")

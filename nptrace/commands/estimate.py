@@ -1,5 +1,7 @@
 """npcache estimate: miss rates of a large picture from part of its rays."""
 
+import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,10 +10,10 @@ import click
 
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import BadInput
-from nptrace.options import list_option
+from nptrace.options import list_option, size_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import progress_bar
-from nptrace.scene_options import Picture, load_scenes, picture_options, tree_params
+from nptrace.progress import Progress, done
+from nptrace.scene_options import Picture, accel_option, load_scenes, picture_options, tree_params
 
 if TYPE_CHECKING:
     from cachesim.sampling.estimate import Estimated
@@ -29,26 +31,28 @@ def estimate_scenes(
     from rtrace.trees.tree_cache import cached_tree
 
     shooting = picture.shooting()
-    params = tree_params(accel, picture.kd_text, picture.bvh_builder, picture.bvh_nodes)
+    params = tree_params(accel, picture.kd_text, picture.bvh_text, picture.bvh_nodes)
     if resume is not None and len(scenes) * len(params) > 1:
         raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
     found = []
-    for scene in scenes:
-        for kind, given in params.items():
-            source = RayUnits(scene, cached_tree(scene, kind, **given), shooting)
-            with progress_bar(f"estimate {source.identity.run}", None) as progress:
+    with Progress(len(scenes) * len(params)) as bar:
+        for scene in scenes:
+            for kind, given in params.items():
+                bar.job(f"{scene.label} {kind}")
+                bar.phase("build")
+                source = RayUnits(scene, cached_tree(scene, kind, **given), shooting)
                 result = estimate_source(
                     source, configs, target, seed=picture.seed, threads=picture.threads, exact_below=picture.exact_below,
-                    resume=resume, progress=progress,
+                    resume=resume, progress=bar.phase("estimate", None),
                 )  # fmt: skip
-            found.append((kind, scene, result))
+                found.append((kind, scene, result))
     return found
 
 
 @click.command()
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
-@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
-@list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
+@accel_option()
+@size_option()
 @list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Associativity: numbers of ways, e.g. 1,2,full.")
 @click.option("--line", type=str, default="32", show_default=True, metavar="SIZE", help="Line size in bytes.")
 @click.option("--table1", "is_table1", is_flag=True, help="Use the four caches of Table I instead of --size and --assoc.")
@@ -60,7 +64,7 @@ def estimate_scenes(
 @output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
 @results_options()
 def estimate(
-    names: tuple[str, ...], accel: tuple[str, ...], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
+    names: tuple[str, ...], accel: list[str], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
     resume: Path | None, output: Output, strict: bool, offline: bool, camera: str | None, light: str | None, **picture: Any,
 ) -> None:  # fmt: skip
     """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.
@@ -76,7 +80,7 @@ def estimate(
     from cachesim.report.table1 import caches
     from cachesim.sampling.target import parse_target
 
-    target = parse_target(error)
+    target, began = parse_target(error), time.perf_counter()
     configs = caches() if is_table1 else [
         CacheConfig(one_size, parse_ways(ways, one_size, parse_bytes(line)), parse_bytes(line))
         for one_size in size for ways in assoc
@@ -85,3 +89,5 @@ def estimate(
     found = estimate_scenes(scenes, accel, configs, target, Picture(**picture), resume)
     results = [result for _, _, result in found]
     output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))
+    methods = ", ".join(f"{n} {method}" for method, n in Counter(result.method for result in results).items())
+    done(f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches", began)

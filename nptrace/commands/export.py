@@ -1,18 +1,23 @@
 """nptrace export: a run as a trace that DineroIV replays."""
 
+import shlex
+import time
 from pathlib import Path
 
 import click
 
+from nptrace.groups import Command
 from nptrace.output import output_option
+from nptrace.progress import Progress, done, say
 
 
-@click.command()
+@click.command(cls=Command, old={"--to": "--format", "--prefetch": "--prefetch-as"})
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--to", "form", type=click.Choice(["din"]), default="din", show_default=True, help="Format: DineroIV's traces.")
+@click.option("--format", "form", type=click.Choice(["din"]), default="din", show_default=True, help="DineroIV's traces.")
 @click.option("--binary", is_flag=True, help="Write DineroIV's binary records instead of text.")
 @click.option(
-    "--prefetch",
+    "--prefetch-as",
+    "prefetch",
     type=click.Choice(["b", "read", "misc", "omit"]),
     default="b",
     show_default=True,
@@ -23,15 +28,18 @@ def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | Non
     """Write a run as a trace that DineroIV itself replays.
 
     \b
-    nptrace export traces/bunny-bvh --to din
+    nptrace export traces/bunny-bvh
     dineroIV -informat d -l1-usize 8k -l1-ubsize 32 -l1-uassoc 2 < bunny-bvh.din
     """
     from traces.din import export_din
     from traces.format import printable
     from traces.reader import open_run
 
-    opened = open_run(run)
+    opened, began = open_run(run), time.perf_counter()
     target = output or Path(f"{opened.name}.{form}")
-    form_of = "binary" if binary else "text"
-    written = export_din(opened, target, fmt=form_of, prefetch=prefetch, warn=lambda text: click.echo(text, err=True))
-    click.echo(f"{printable(str(target))}: {written:,} accesses", err=True)
+    with Progress(1) as bar:
+        bar.job(opened.name)
+        bar.phase("export")
+        written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch, warn=say)
+    name = printable(str(target))
+    done(f"{name}: {written:,} accesses", began, "" if name == "-" else f"npcache replay {shlex.quote(name)}")

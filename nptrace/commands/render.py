@@ -1,5 +1,8 @@
 """nptrace render: scenes -> runs."""
 
+import shlex
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,8 +12,8 @@ from nptrace import __version__
 from nptrace.groups import Command
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
-from nptrace.progress import progress_bar
-from nptrace.scene_options import bvh_nodes_option, check_run_names, load_scenes, scene_options, tree_params
+from nptrace.progress import Progress, detail, done, say, size_text
+from nptrace.scene_options import accel_option, bvh_nodes_option, check_run_names, load_scenes, scene_options, tree_params
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=Command, old={"--size": "--pixels"})
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
-@click.option("--accel", type=click.Choice(["kdtree", "bvh"]), multiple=True, help="Tree to build; both by default.")
+@accel_option()
 @click.option("--pixels", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
 @click.option(
     "--camera", "cameras", multiple=True, metavar="TEXT",
@@ -46,15 +49,15 @@ if TYPE_CHECKING:
     "kd_text",
     metavar="NAME=VALUE,...",
     default="",
-    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level; `coarse` is max_level=16.",
+    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level, min_leaf, max_leaf; `coarse` is max_level=16.",
 )
 @click.option(
     "--bvh",
-    "bvh_builder",
-    type=click.Choice(["sweep", "binned"]),
+    "bvh_text",
+    metavar="BUILDER,NAME=VALUE,...",
     default="sweep",
     show_default=True,
-    help="BVH builder: exact SAH over all centroids, or up to 16 bins.",
+    help="BVH builder: sweep, exact SAH over all centroids, or binned, up to 16 bins; c_trav, c_isect, min_leaf, max_leaf.",
 )
 @bvh_nodes_option("Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.")
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
@@ -67,8 +70,8 @@ if TYPE_CHECKING:
 @scene_options
 @results_options()
 def render(
-    names: tuple[str, ...], accel: tuple[str, ...], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
-    batch: int, seed: int, kd_text: str, bvh_builder: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
+    names: tuple[str, ...], accel: list[str], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
+    batch: int, seed: int, kd_text: str, bvh_text: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
     overwrite: bool, threads: int, strict: bool, offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
@@ -86,24 +89,35 @@ def render(
     from rtrace.render import Shooting, render_all
     from rtrace.scenes import float32_check
     from rtrace.trees.strays import margin_note
+    from traces.format import printable
 
+    began = time.perf_counter()
     check_run_names(run_names, len(names) * max(len(cameras), 1))
     shooting = Shooting(*parse_size(pixels), order, batch, seed)
-    chosen = tree_params(accel, kd_text, bvh_builder, bvh_nodes)
+    chosen = tree_params(accel, kd_text, bvh_text, bvh_nodes)
     scenes = load_scenes(names, strict, offline, cameras, light)
     for scene in scenes:
         if scene.precision is not None:
-            click.echo(f"{scene.label}: {float32_check.choice(scene.precision)}", err=True)
+            detail(f"{scene.label}: {float32_check.choice(scene.precision)}")
         if note := margin_note(scene.triangles, scene.bounds, scene.camera.eye):
-            click.echo(f"{scene.label}: {note}", err=True)
-    n_pixels = shooting.width * shooting.height * len(scenes) * len(chosen)
-    with progress_bar("trace", n_pixels) as progress:
+            say(f"{scene.label}: {note}")
+    with Progress(len(scenes) * len(chosen)) as progress:
+
+        def on_phase(run: str, phase: str, total: int | None) -> Callable[[int], object]:
+            if phase == "build":
+                progress.job(run)
+            return progress.phase(phase, total)
+
         summaries = render_all(
             scenes, chosen, shooting, out, names=run_names, overwrite=overwrite, threads=threads,
-            tool_version=__version__, progress=progress,
+            tool_version=__version__, on_phase=on_phase,
         )  # fmt: skip
         runs = list(summaries)
     output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
+    n_rays, n_bytes = sum(run.n_rays for run in runs), sum(run.n_bytes for run in runs)
+    folder = "" if str(out) == "traces" else f"--traces {shlex.quote(printable(str(out)))} "
+    what = f"{len(runs)} run{'s' * (len(runs) != 1)}, {n_rays:,} rays, {size_text(n_bytes)}"
+    done(what, began, f"npcache replay {folder}--size 8K,16K")
 
 
 def table_of(runs: "list[Summary]") -> "Table":

@@ -1,5 +1,6 @@
 """npcache replay: runs and traces through caches, exactly."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,10 +8,10 @@ import click
 
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import Command
-from nptrace.options import list_option
+from nptrace.options import list_option, size_option, threads_option
 from nptrace.output import Output, results_options
-from nptrace.progress import progress_bar
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, chosen_sources, traces_option
+from nptrace.progress import Counted, Progress, done
+from nptrace.sources import LAYOUT_HELP, chosen_sources, prefetch_help, traces_option
 
 if TYPE_CHECKING:
     from cachesim.result import Result
@@ -19,20 +20,21 @@ if TYPE_CHECKING:
 @click.command(cls=Command, old={"--report": "--format"})
 @click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
-@list_option("--size", item=parse_bytes, metavar="SIZES", default="8K", help="Cache sizes, e.g. 8K,16K.")
+@size_option()
 @list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Associativity: numbers of ways, e.g. 1,2,full.")
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
 @list_option(
     "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo, random, opt (Belady)."
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")
-@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
+@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=prefetch_help())
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
+@threads_option()
 @results_options("dinero")
 def replay(
     sources: tuple[Path, ...], folder: Path, size: list[int], assoc: list[str], line: list[int], policy: list[str], seed: int,
-    prefetch: list[str], layout: list[str], three_c: bool, output: Output,
+    prefetch: list[str], layout: list[str], three_c: bool, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Replay runs, or DineroIV traces, through every combination of the cache options, exactly.
 
@@ -53,14 +55,24 @@ def replay(
     ]  # fmt: skip
     policies, layouts = [parse_prefetch(text) for text in prefetch], [parse_layout(text) for text in layout]
     results: list[Result] = []
-    for path in chosen_sources(sources, folder):
-        for one_layout in layouts:
-            source = open_source(path, one_layout)
-            source.check_passes(len(policies))
-            for one_prefetch in policies:
-                with progress_bar("replay", source.n_events) as progress:
-                    results += replay_source(source, configs, prefetch=one_prefetch, three_c=three_c, progress=progress)
+    paths = chosen_sources(sources, folder)
+    began, n_events = time.perf_counter(), 0
+    with Progress(len(paths) * len(layouts) * len(policies)) as bar:
+        for path in paths:
+            for one_layout in layouts:
+                source = open_source(path, one_layout)
+                source.check_passes(len(policies))
+                for one_prefetch in policies:
+                    bar.job(source.identity.run)
+                    progress = Counted(bar.phase(f"replay, prefetch {one_prefetch}", source.n_events))
+                    results += replay_source(
+                        source, configs, prefetch=one_prefetch, three_c=three_c, threads=threads, progress=progress,
+                    )  # fmt: skip
+                    n_events += progress.n
     output.write(
         [result.to_dict() for result in results], lambda: replay_tables.tables(results),
         dinero=lambda: replay_tables.to_dinero(results),
     )  # fmt: skip
+    n_runs = len({result.identity for result in results})
+    what = f"{n_runs} run{'s' * (n_runs != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {n_events:,} accesses read"
+    done(what, began, "npcache sweep -o sweep.csv")

@@ -1,5 +1,6 @@
 """npcache sweep: every LRU cache in ranges, in one pass."""
 
+import time
 from pathlib import Path
 
 import click
@@ -7,7 +8,7 @@ import click
 from cachesim.config import parse_bytes
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Counted, Progress, done
 from nptrace.sources import chosen_sources, traces_option
 
 
@@ -44,14 +45,23 @@ def sweep(
         sweep_output.ending_of(picture, sweep_output.PICTURES)  # refused now, not after counting
     configs = grid([parse_range(text) for text in size], all_ways, line)
     rows: list[sweeping.SweepRow] = []
-    for path in chosen_sources(sources, folder):
-        for one_layout in layout:
-            source = open_source(path, one_layout)
-            source.check_passes(len(prefetch))
-            for one_prefetch in prefetch:
-                with progress_bar("sweep", source.n_events) as progress:
+    paths = chosen_sources(sources, folder)
+    began, n_events = time.perf_counter(), 0
+    with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
+        for path in paths:
+            for one_layout in layout:
+                source = open_source(path, one_layout)
+                source.check_passes(len(prefetch))
+                for one_prefetch in prefetch:
+                    bar.job(source.identity.run)
+                    progress = Counted(bar.phase(f"sweep, prefetch {one_prefetch}", source.n_events))
                     rows += sweeping.sweep(source, configs, prefetch=one_prefetch, threads=threads, progress=progress)
-    if picture is not None:
-        sweep_output.plot(rows, picture)
+                    n_events += progress.n
+        if picture is not None:
+            bar.phase("plot")
+            sweep_output.plot(rows, picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
+    n_runs = len({row.identity for row in rows})
+    what = f"{n_runs} run{'s' * (n_runs != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {n_events:,} accesses read"
+    done(what, began)

@@ -1,5 +1,6 @@
 """npcache table1: Table I of the paper beside ours."""
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,8 +8,9 @@ import click
 
 from nptrace.commands.estimate import estimate_scenes
 from nptrace.groups import BadInput
+from nptrace.options import threads_option
 from nptrace.output import Output, results_options
-from nptrace.progress import progress_bar
+from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, load_scenes
 from nptrace.sources import chosen_sources, traces_option
 
@@ -27,9 +29,10 @@ if TYPE_CHECKING:
     "--pixels", default="2048x2048", show_default=True, metavar="WxH", help="With --target-error: size of the picture."
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: seed of the sample.")
+@threads_option()
 @results_options()
 def table1(
-    sources: tuple[Path, ...], folder: Path, error: str | None, pixels: str, seed: int, output: Output
+    sources: tuple[Path, ...], folder: Path, error: str | None, pixels: str, seed: int, threads: int, output: Output
 ) -> None:  # fmt: skip
     """Print Table I of the paper beside ours, from existing runs or estimated for large pictures.
 
@@ -45,20 +48,25 @@ def table1(
     from traces.reader import open_run
 
     if error is not None:
-        estimated_table1(error, pixels, seed, output)
+        estimated_table1(error, Picture(pixels=pixels, seed=seed, threads=threads), output)
         return
     runs: list[Run] = [open_run(path) for path in chosen_sources(sources, folder)]
     chosen = table.choose_runs(runs)
     if not chosen:
         raise BadInput(f"no run in {folder} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
-    with progress_bar("replay", sum(run.n_accesses for run in chosen.values())) as progress:
-        rows = table.table1(chosen, progress=progress)
+    began = time.perf_counter()
+    with Progress(1) as bar:
+        bar.job("Table I")
+        rows = table.table1(
+            chosen, threads=threads, progress=bar.phase("replay", sum(run.n_accesses for run in chosen.values()))
+        )
     for tree, scene in table.missing(chosen):
-        click.echo(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}", err=True)
+        say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
+    done(f"{len(chosen)} runs, {len(rows)} caches", began)
 
 
-def estimated_table1(error: str, pixels: str, seed: int, output: Output) -> None:
+def estimated_table1(error: str, picture: Picture, output: Output) -> None:
     """Write Table I estimated for the four scenes and both trees."""
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import SCENES, TREES, caches
@@ -66,7 +74,7 @@ def estimated_table1(error: str, pixels: str, seed: int, output: Output) -> None
 
     target = parse_target(error)
     scenes = load_scenes(SCENES, strict=False, offline=False)
-    found = estimate_scenes(scenes, tuple(TREES), caches(), target, Picture(pixels=pixels, seed=seed))
+    found = estimate_scenes(scenes, tuple(TREES), caches(), target, picture)
     ordered = [(tree, scene.name, result) for tree in TREES for kind, scene, result in found if kind == tree]
     records = estimate_tables.records([result for _, _, result in ordered], output.form)
     output.write(records, lambda: estimate_tables.table1_tables(ordered))

@@ -243,12 +243,39 @@ def _write_box(nodes, node, boxes, box):
 
 
 @kernel
-def build_binned(records, numbers, box, nodes, words, prims):
+def _halve(records, numbers, start, end, spare):
+    """Exchange records until the lower half of the triangles, by number, comes first; return where the others begin."""
+    sorted_ = np.empty(end - start, np.uint32)
+    for i in range(end - start):
+        sorted_[i] = numbers[(start + i) * RECORD_WORDS + NUMBER]
+    sorted_.sort()
+    position = start + (end - start) // TWO
+    least = sorted_[position - start]
+    low = start
+    for i in range(start, end):
+        if numbers[i * RECORD_WORDS + NUMBER] < least:
+            _exchange(records, low, i, spare)
+            low += ONE
+    return position
+
+
+@kernel
+def _longest_axis(nodes, node):
+    lower, upper = node * NODE_WORDS + NODE_LOWER, node * NODE_WORDS + NODE_UPPER
+    dx, dy, dz = nodes[upper] - nodes[lower], nodes[upper + Y] - nodes[lower + Y], nodes[upper + Z] - nodes[lower + Z]
+    if dx >= dy and dx >= dz:
+        return X
+    return Y if dy >= dz else Z
+
+
+@kernel
+def build_binned(records, numbers, box, nodes, words, prims, rules):
     """Fill nodes (flat float32 and uint32 views) and prims depth-first; return (number of nodes, deepest level).
 
-    ``records``, ``numbers`` (the same as uint32) and ``box`` are what ``make_records`` wrote. Triangles of a leaf are in any
-    order.
+    ``records``, ``numbers`` (the same as uint32) and ``box`` are what ``make_records`` wrote; ``rules`` are ``LeafRules``.
+    Triangles of a leaf are in any order.
     """
+    trav, min_leaf, max_leaf = rules[0], np.uint64(rules[1]), np.uint64(rules[2])
     bins, sides = np.empty(3 * WORDS * N_BINS, np.float32), np.empty(2 * WORDS, np.float32)
     empty, spare = np.full(WORDS, INF), np.empty(WORDS, np.float32)
     counts, right_area = np.empty(3 * N_BINS, np.int64), np.empty(N_BINS, np.float64)
@@ -266,7 +293,9 @@ def build_binned(records, numbers, box, nodes, words, prims):
         max_level = max(max_level, level)
         w, count, area = node * NODE_WORDS, end - start, area_of[n_todo]
         cost, axis, cut, n_bins = np.inf, ZERO, ZERO, ZERO
-        if count == TWO:
+        if count <= min_leaf:
+            pass
+        elif count == TWO:
             axis = _part_pair(records, start, spare)
             if axis != AXES:
                 cost = _half_area(records, start) + _half_area(records, start + ONE)
@@ -277,7 +306,7 @@ def build_binned(records, numbers, box, nodes, words, prims):
             cost, axis, cut = _cheapest_plane(bins, counts, n_bins, np.int64(count), sides, right_area, empty)
         # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
         # cost of "no split", times nothing, is no split either.)
-        if not area + cost < area * count:
+        if not trav * area + cost < area * count and count <= max_leaf:
             for i in range(start, end):
                 prims[i] = numbers[i * RECORD_WORDS + NUMBER]
             words[w + NODE_CHILD], words[w + NODE_META] = start, count << np.uint64(AXIS_BITS) | np.uint64(LEAF_AXIS)
@@ -285,7 +314,11 @@ def build_binned(records, numbers, box, nodes, words, prims):
         copy(sides, ZERO, empty, ZERO)
         copy(sides, ONE, empty, ZERO)
         position = start + ONE
-        if count == TWO:
+        if not cost < area * count:
+            axis, position = _longest_axis(nodes, node), _halve(records, numbers, start, end, spare)
+            for i in range(start, end):
+                grow(sides, ZERO if i < position else ONE, records, i)
+        elif count == TWO:
             grow(sides, ZERO, records, start)
             grow(sides, ONE, records, position)
         else:

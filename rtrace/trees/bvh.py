@@ -1,14 +1,19 @@
 """Triangles -> BVH: full-sweep SAH over sorted centroids (Manta's builder), or binned SAH (``rtrace.trees.binned_sah``).
 
-A split is taken when 1 + (A_left n_left + A_right n_right) / A < n, in units of one triangle test (both costs are 1, as in
-Manta's DynBVH): a leaf only when no split pays. There is no other limit on leaf size or depth.
+A split is taken when c + (A_left n_left + A_right n_right) / A < n, in units of one triangle test (c is 1, as in Manta's
+DynBVH): a leaf only when no split pays. Limits to the triangles of a leaf come first (``leaf_rules``): a node with more than a
+leaf may have is split at the cheapest cut, or, where no cut makes its children smaller, in halves by the triangles' numbers,
+so that copies end in leaves of that size too. There is no limit on depth.
 """
+
+from typing import Any
 
 import numpy as np
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined, kernel
 from rtrace.trees import binned_sah
+from rtrace.trees.leaf_rules import leaf_rules, limits_given
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room
 from rtrace.trees.tree import (
@@ -135,11 +140,24 @@ def _sweep_split(orders, n, start, end, boxes, right_area, longest):
 
 
 @kernel
-def _build(orders, boxes, nodes, words, prims, n):
+def _halve(orders, n, start, end, goes_right):
+    """Mark the upper half of some triangles, by number; return where it begins among them."""
+    numbers = orders[start:end].copy()
+    numbers.sort()
+    position = start + (end - start) // 2
+    for i in range(start, end):
+        goes_right[orders[i]] = orders[i] >= numbers[position - start]
+    return position
+
+
+@kernel
+def _build(orders, boxes, nodes, words, prims, n, rules):
     """Fill nodes (flat float32 and uint32 views) and prims depth-first; return (number of nodes, deepest level).
 
-    ``orders`` holds the triangles sorted by centroid along x, y and z, one after another. Those of a leaf are in any order.
+    ``orders`` holds the triangles sorted by centroid along x, y and z, one after another; ``rules`` are ``LeafRules``. Those
+    of a leaf are in any order.
     """
+    trav, min_leaf, max_leaf = rules
     right_area = np.empty(n, np.float64)
     scratch = np.empty(n, np.int32)
     goes_right = np.zeros(n, np.uint8)
@@ -156,19 +174,25 @@ def _build(orders, boxes, nodes, words, prims, n):
         box = _box_of(nodes, node)
         area = _half_area(box)
         cost, axis, position = np.inf, 0, -1
-        if count > 1:
+        if count > 1 and count > min_leaf:
             cost, axis, position = _sweep_split(orders, n, start, end, boxes, right_area, _longest_axis(box))
         # Without area all children are hit as often as the node itself: no split can pay. (Written so that the infinite
         # cost of "no split", times nothing, is no split either.)
-        if not area + cost < area * count:
+        if not trav * area + cost < area * count and count <= max_leaf:
             prims[start:end] = orders[start:end]
             words[w + CHILD], words[w + META] = start, count << AXIS_BITS | LEAF_AXIS
             continue
+        is_cut = cost < area * count
+        if not is_cut:
+            axis = _longest_axis(box)
         order = orders[axis * n : (axis + 1) * n]
-        for i in range(start, end):
-            goes_right[order[i]] = i >= position
+        if is_cut:
+            for i in range(start, end):
+                goes_right[order[i]] = i >= position
+        else:
+            position = _halve(order, n, start, end, goes_right)
         for k in range(3):
-            if k != axis:
+            if k != axis or not is_cut:
                 _partition(orders[k * n : (k + 1) * n], start, end, goes_right, scratch)
         words[w + CHILD], words[w + META] = n_nodes, axis
         _write_box(order, start, position, boxes, nodes, n_nodes)
@@ -181,7 +205,10 @@ def _build(orders, boxes, nodes, words, prims, n):
     return n_nodes, max_level
 
 
-def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
+def build_bvh(
+    triangles: np.ndarray, *, builder: str = "sweep", c_trav: float = 1.0, c_isect: float = 1.0, min_leaf: int = 0,
+    max_leaf: int | None = None,
+) -> Tree:  # fmt: skip
     """Build a BVH.
 
     Parameters
@@ -190,11 +217,16 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
         Finite; n from 1 to 2^29.
     builder : {"sweep", "binned"}
         Exact SAH over all centroid orders, or the cheapest plane between up to 16 bins per axis (``rtrace.trees.binned_sah``).
+    c_trav, c_isect : float
+        Cost of visiting an inner node (not negative) and of testing a triangle (positive).
+    min_leaf, max_leaf : int
+        A node with up to ``min_leaf`` triangles is a leaf; one with more than ``max_leaf`` is not, whatever it costs. None: no
+        limit.
 
     Raises
     ------
     ValueError
-        Another shape or dtype, a coordinate that is NaN or infinite, or an unknown builder.
+        Another shape or dtype, a coordinate that is NaN or infinite, an unknown builder, or a cost or limit that cannot be.
 
     Notes
     -----
@@ -203,6 +235,7 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
     if triangles.dtype != np.float32 or triangles.ndim != 3 or triangles.shape[1:] != (3, 3) or not len(triangles):
         raise NptraceError(f"triangles must be a non-empty (n, 3, 3) float32 array, got {triangles.shape} {triangles.dtype}")
     check_finite(triangles)
+    rules = leaf_rules(c_trav, c_isect, min_leaf, max_leaf)
     n = len(triangles)
     triangles = np.ascontiguousarray(triangles)
     nodes, prims = np.zeros(2 * n, BVH_NODE), np.empty(n, np.int32)
@@ -213,15 +246,19 @@ def build_bvh(triangles: np.ndarray, *, builder: str = "sweep") -> Tree:
         # Twice the centre of the box, in float64: the sum of two float32 does not overflow there.
         centroids = boxes[:, :3].astype(np.float64) + boxes[:, 3:]
         orders = np.concatenate([np.argsort(centroids[:, k], kind="stable") for k in range(3)]).astype(np.int32)
-        n_nodes, max_level = _build(orders, boxes.reshape(-1), flat, words, prims, n)
+        n_nodes, max_level = _build(orders, boxes.reshape(-1), flat, words, prims, n, rules)
     elif builder == "binned":
         records, box = np.empty(binned_sah.WORDS * n, np.float32), np.empty(binned_sah.WORDS, np.float32)
         binned_sah.make_records(triangles.reshape(-1), records, records.view(np.uint32), box)
         extent = binned_sah.make_room(triangles, records, box)
-        n_nodes, max_level = binned_sah.build_binned(records, records.view(np.uint32), box, flat, words, prims)
+        n_nodes, max_level = binned_sah.build_binned(records, records.view(np.uint32), box, flat, words, prims, rules)
     else:
         raise NptraceError(f"builder must be 'sweep' or 'binned', got {builder!r}")
     nodes = nodes[:n_nodes].copy()
     _sort_leaves(words, n_nodes, prims, np.empty(n, np.int32))
     corners = np.take(triangles, prims, axis=0)  # a third of the time of triangles[prims]
-    return Tree("bvh", nodes, prims, corners, triangles, extent.bounds, extent.core, int(max_level), {"builder": builder})
+    params: dict[str, Any] = {"builder": builder}
+    if (c_trav, c_isect) != (1.0, 1.0):
+        params |= {"c_trav": float(c_trav), "c_isect": float(c_isect)}
+    params |= limits_given(min_leaf, max_leaf)
+    return Tree("bvh", nodes, prims, corners, triangles, extent.bounds, extent.core, int(max_level), params)

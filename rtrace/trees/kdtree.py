@@ -12,7 +12,6 @@ Unlike Manta, which drops a triangle whose clipped part is degenerate, a triangl
 its bounds straddle, so that rounding loses none.
 """
 
-import math
 from functools import partial
 from typing import NamedTuple
 
@@ -35,6 +34,7 @@ from rtrace.trees.kd_events import (
     renew,
 )
 from rtrace.trees.kd_sweep import half_area_of, sweep
+from rtrace.trees.leaf_rules import leaf_rules, limits_given
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room, slack_of
 from rtrace.trees.tree import (
@@ -140,9 +140,9 @@ def _build(vertices, events, tree, cells, scratch, limits, state):
     """Split cells until none waits (_DONE) or an array is too short for the next step: let it grow and call again.
 
     Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs,
-    the limit of ``strays``).
+    the limit of ``strays``, min_leaf, max_leaf).
     """
-    trav, empty_bonus, max_level, max_refs, far = limits
+    trav, empty_bonus, max_level, max_refs, far, min_leaf, max_leaf = limits
     costs = trav, empty_bonus
     begin, end, boxes, ceiling = cells.begin, cells.end, cells.box, cells.ceiling
     while state[_WAITING] > 0:
@@ -153,8 +153,10 @@ def _build(vertices, events, tree, cells, scratch, limits, state):
         if state[_REFS] + n > tree.prims.size:
             return _OUT_OF_PRIMS
         axis, half_area = np.int64(LEAF_AXIS), half_area_of(boxes, cell)
-        best = (half_area * n, np.int64(0))
-        if level < max_level and state[_NODES] < TRIANGLE and half_area > 0.0 and n > empty_bonus * trav:
+        is_forced = n > max_leaf
+        best = (np.inf if is_forced else half_area * n, np.int64(0))
+        may_pay = n > min_leaf and (n > empty_bonus * trav or is_forced)
+        if level < max_level and state[_NODES] < TRIANGLE and half_area > 0.0 and may_pay:
             for k in range(3):
                 trial = sweep(events, k, (begin[3 * cell + k], end[3 * cell + k]), boxes, cell, n, costs, best)
                 if trial[0] < best[0]:
@@ -163,6 +165,9 @@ def _build(vertices, events, tree, cells, scratch, limits, state):
         if axis != LEAF_AXIS:
             span = begin[3 * cell + axis], end[3 * cell + axis]
             n_below, n_above = classify(events, axis, span, plane, n, scratch.side)
+            # A split that does not pay must at least part the triangles, or cut off empty space, which comes to an end.
+            if is_forced and best[0] >= half_area * n and max(n_below, n_above) == n and min(n_below, n_above) > 0:
+                axis, n_below, n_above = np.int64(LEAF_AXIS), np.int64(0), np.int64(0)
         n_refs = state[_PENDING] - n + n_below + n_above
         if axis == LEAF_AXIS or n_refs > ceiling[cell]:
             _write_leaf(events, cells, cell, tree, scratch, state)
@@ -193,7 +198,9 @@ def _grown(array):
     return np.concatenate((array, np.empty_like(array)), axis=-1)
 
 
-def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=511, max_refs=None) -> Tree:
+def build_kdtree(
+    triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=511, max_refs=None, min_leaf=0, max_leaf=None
+) -> Tree:
     """Build the kd-tree that a greedy surface area heuristic finds.
 
     A cell of area A with n triangles is split where ``c_trav + c_isect * (A_below * n_below + A_above * n_above) / A``,
@@ -215,6 +222,9 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         The leaves hold at most so many references in all (at least n); by default 16 n + 1000, usual scenes need 5 n to
         7 n. It bounds the memory that scenes such as a fan of slivers take. The first half is free to all, what is left
         of the second is shared between the two children by their triangles.
+    min_leaf, max_leaf : int
+        A cell with up to ``min_leaf`` triangles is a leaf. One with more than ``max_leaf`` is split at the cheapest plane,
+        also where that does not pay, if the plane parts the triangles or cuts off empty space. None: no limit.
 
     Returns
     -------
@@ -235,10 +245,9 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
     n = len(triangles)
     if max_refs is None:
         max_refs = min(16 * n + 1000, _MAX_REFS)
+    leaf = leaf_rules(c_trav, c_isect, min_leaf, max_leaf)
     rules = (
         ("the number of triangles", n, 1 <= n <= TRIANGLE, "1 to 2**30 - 1; split the scene or drop it"),
-        ("c_trav", c_trav, 0 <= c_trav < math.inf, "finite and not negative, e.g. 1.5"),
-        ("c_isect", c_isect, 0 < c_isect < math.inf, "finite and positive, e.g. 2"),
         ("empty_bonus", empty_bonus, 0 < empty_bonus <= 1, "above 0 and at most 1; 1 is no bonus"),
         ("max_level", max_level, 0 <= max_level <= 65535, "0 to 65535, e.g. 511"),
         ("max_refs", max_refs, n <= max_refs <= _MAX_REFS, f"from the number of triangles, {n}, to 2**31 - 1"),
@@ -267,7 +276,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         kept=int64((3, 2 * n)), cut=int64((3, 2 * n)), n_kept=int64(3), n_cut=int64(3), end_above=int64(3)
     )  # fmt: skip
     scratch = _Scratch(np.empty(n, np.uint8), straddlers, parted, int64(2 * n), int64(2 * n), np.empty(3 * POLYGON))
-    limits = float(c_trav) / float(c_isect), float(empty_bonus), int(max_level), int(max_refs), extent.limit
+    limits = leaf.trav, float(empty_bonus), int(max_level), int(max_refs), extent.limit, leaf.min_leaf, leaf.max_leaf
     nodes, prims = np.empty(16 * n + 64, np.uint32), np.empty(8 * n + 64, np.int32)
     state = np.array([1, 1, 0, n, 0], np.int64)
     vertices = triangles.reshape(-1)
@@ -288,6 +297,7 @@ def build_kdtree(triangles, *, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_lev
         "empty_bonus": float(empty_bonus),
         "max_level": int(max_level),
         "max_refs": int(max_refs),
+        **limits_given(min_leaf, max_leaf),
     }
     nodes = nodes[: KD_WORDS * state[_NODES]].copy().view(KD_NODE)
     prims = prims[: state[_REFS]].copy()

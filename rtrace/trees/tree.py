@@ -118,6 +118,8 @@ class TreeArrays(NamedTuple):
 
 def tree_arrays(tree: Tree) -> TreeArrays:
     """Return a tree's arrays, flat; nothing is copied."""
+    if (tree.pairs is None) != (NODE_FORMATS[tree.kind].boxes != CHILD_BOXES):
+        raise ValueError(f"a tree of kind {tree.kind} is not in its format; make it with in_format")  # kernels would crash
     corners, core, bounds = tree.corners.reshape(-1), tree.core.reshape(-1), tree.bounds.reshape(-1)
     nodes, meta = words(tree)
     if tree.pairs is not None:

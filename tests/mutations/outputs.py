@@ -52,4 +52,7 @@ MUTATIONS = [
              "raise SystemExit(INTERRUPTED)", "raise KeyboardInterrupt", "tests/nptrace/test_interrupts.py::test_compiling_ends_quietly_with_its_processes"),
     Mutation("interrupts: threads are waited for", "nptrace_base/pools.py",
              "wait=isinstance(e, Exception)", "wait=True", "tests/nptrace/test_interrupts.py::test_who_is_interrupted_does_not_wait_for_threads"),
+    Mutation("progress: --quiet says as much as ever", "nptrace/progress.py", "if level < USUAL:", "if False:", "tests/nptrace/test_nptrace.py -k says_what"),
+    Mutation("progress: what carries no news is always said", "nptrace/progress.py", "if level >= VERBOSE:", "if True:", "tests/nptrace/test_nptrace.py -k says_what"),
+    Mutation("progress: no phase is told", "nptrace/progress.py", '(f": {what}" if what else "")', '""', "tests/nptrace/test_terminal.py -k real"),
 ]

@@ -124,7 +124,7 @@ def test_too_little_memory_is_one_sentence_and_leaves_nothing(folder):
 # Commands that write one file, and what they print to it when nothing disturbs them.
 WRITERS = {
     "sweep.parquet": ("npcache", ["sweep", "--size", "1K..64K", "--ways", "1..64,full", "--line", "32,64", "-o"]),
-    "soup.din": ("nptrace", ["export", "traces/soup-bvh", "--to", "din", "-o"]),
+    "soup.din": ("nptrace", ["export", "traces/soup-bvh", "-o"]),
 }
 
 
@@ -283,7 +283,7 @@ def test_a_read_only_folder_is_one_sentence_of_every_command(folder, monkeypatch
         (cli.nptrace, ["render", "soup.obj", "--accel", "bvh", "--out", "new"], "cannot write new/soup-bvh"),
         (cli.npcache, ["sweep", "--size", "1K", "--ways", "1", "-o", "x.csv"], "cannot write x.csv"),
         (cli.npcache, ["sweep", "--size", "1K", "--ways", "1", "-o", "x.parquet"], "cannot write x.parquet"),
-        (cli.nptrace, ["export", "traces/soup-bvh", "--to", "din"], "cannot write soup-bvh.din"),
+        (cli.nptrace, ["export", "traces/soup-bvh"], "cannot write soup-bvh.din"),
     ]
     for group, args, words in commands:
         result = CliRunner().invoke(group, args)

@@ -130,7 +130,7 @@ def test_an_ignored_signal_stays_ignored(folder):
     process = start(folder, "nptrace", args, handler=signal.SIG_IGN, stderr=subprocess.PIPE)
     interrupt(process, 0.5)
     assert process.returncode == 0
-    assert os.listdir(folder / "traces") == ["soup-bvh"]
+    assert os.listdir(folder / "traces") == ["soup-bvh-400x400"]
 
 
 def test_who_is_interrupted_does_not_wait_for_threads():

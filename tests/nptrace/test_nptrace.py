@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,11 @@ def run(*args, code=0):
 def test_render_writes_both_trees_and_says_what(folder):
     result = run("render", "ball.obj", "--name", "ball", "--pixels", "40x30")
     assert "traces/ball-kdtree" in result.stdout and "traces/ball-bvh" in result.stdout
-    assert result.stderr.count("\n") == 1 and "float32 vertices, float64 arithmetic: the shortest edge is" in result.stderr
+    assert re.fullmatch(r"2 runs, [\d,]+ rays, [\d.]+ kB in \d+\.\d s; next: npcache replay --size 8K,16K\n", result.stderr)
+    verbose = run("render", "ball.obj", "--name", "ball", "--pixels", "40x30", "-v").stderr
+    assert "float32 vertices, float64 arithmetic: the shortest edge is" in verbose and verbose.count("\n") == 2
+    quiet = run("render", "ball.obj", "--name", "ball", "--pixels", "40x30", "-q")
+    assert quiet.stderr == "" and quiet.stdout == result.stdout
     for tree in ("kdtree", "bvh"):
         opened = open_run(folder / "traces" / f"ball-{tree}")
         assert (opened.footer.width, opened.footer.height) == (40, 30)
@@ -94,11 +99,11 @@ def test_scenes_are_listed(folder):
 
 def test_an_exported_run_is_a_din_trace(folder):
     run("render", "ball.obj", "--name", "ball", "--accel", "bvh", "--pixels", "16x16")
-    run("export", "traces/ball-bvh", "--to", "din")
+    run("export", "traces/ball-bvh")
     lines = Path("ball-bvh.din").read_text().splitlines()
     assert len(lines) == open_run("traces/ball-bvh").n_accesses
     assert {line.split()[0] for line in lines} == {"0", "b"}
-    run("export", "traces/ball-bvh", "--to", "din", "--binary", "--prefetch", "omit", "-o", "x.bin")
+    run("export", "traces/ball-bvh", "--binary", "--prefetch-as", "omit", "-o", "x.bin")
     assert Path("x.bin").stat().st_size == 8 * sum(line[0] == "0" for line in lines)
 
 

@@ -20,7 +20,7 @@ from traces.writer import RunWriter
 ROOT = Path(cli.__file__).resolve().parent
 BALL = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 RENDER = ["render", "one.obj", "--name", "one", "--accel", "bvh", "--pixels", "8x8"]
-EXPORT = ["export", "traces/one-bvh", "--to", "din", "-o"]
+EXPORT = ["export", "traces/one-bvh", "-o"]
 SWEEP = ["sweep", "--size", "1K", "--ways", "1", "-o"]
 
 

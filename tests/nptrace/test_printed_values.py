@@ -349,7 +349,7 @@ def test_export(traces, tmp_path, tree, prefetch):
     run = traces / f"bunny-{tree}"
     wanted = [(address, label if kind else 0) for address, _, kind in events(run, tree, "traced")]
     wanted = [access for access in wanted if access[1] is not None]
-    args = "export", run, "--to", "din", "--prefetch", prefetch, "-o"
+    args = "export", run, "--prefetch", prefetch, "-o"
     said = call(cli.nptrace, *args, tmp_path / "x.din").stderr
     assert said == f"{tmp_path / 'x.din'}: {len(wanted):,} accesses\n"
     assert (tmp_path / "x.din").read_text() == "".join(f"{label:x} {address:x}\n" for address, label in wanted)

@@ -13,7 +13,7 @@ from cachesim.config import CacheConfig
 from rtrace.scenes.shapes import icosphere
 
 _STEPS = """
-nptrace render ball.obj --pixels 12x9 --out runs --batch 5
+nptrace render ball.obj --name ball --pixels 12x9 --out runs --batch 5
 nptrace render ball.obj --pixels 12x9 --out binned --accel bvh --bvh binned --order hilbert --batch 0
 nptrace render stray.obj --pixels 6x6 --out stray --camera eye=2,1,1;at=0,0,0 --light 3,3,3
 npcache replay runs/ball-kdtree --size 1K --ways 2 --line 32 --3c --json
@@ -23,8 +23,8 @@ npcache sweep runs/ball-kdtree runs/ball-bvh --size 512..4K --ways 1..16,full --
 npcache sweep runs/ball-kdtree --size 512..4K --ways 1..4 --layout bfs --prefetch traced,stack:tris*2
 npcache estimate ball.obj --size 1K --ways 2 --pixels 24x16 --json
 nptrace check ball.obj --pixels 8x8 --random 50 --json
-nptrace export runs/ball-kdtree --to din -o ball.din
-npcache replay ball.din --size 1K --ways 2 --report dinero
+nptrace export runs/ball-kdtree -o ball.din
+npcache replay ball.din --size 1K --ways 2 --format dinero
 """
 
 

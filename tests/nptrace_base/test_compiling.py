@@ -38,7 +38,7 @@ small = ["--pixels", "8x8", "--offline"]
 run(cli.nptrace, "render", "blob", "--name", "blob", *small)
 run(cli.nptrace, "render", "court", "--accel", "bvh", "--bvh", "binned", "--batch", "0", *small)
 run(cli.nptrace, "check", "blob", *small, "--random", "50")
-run(cli.nptrace, "export", "traces/blob-bvh", "--to", "din")
+run(cli.nptrace, "export", "traces/blob-bvh")
 run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "lru,fifo,random", "--line", "16,32,64")
 run(cli.npcache, "replay", "--3c", "--layout", "veb,bfs,dfs,treelet:256", "--prefetch", "none,stack:once,next-line:miss")
 run(cli.npcache, "replay", "blob-bvh.din", "--line", "8,32")

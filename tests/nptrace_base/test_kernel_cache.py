@@ -81,12 +81,14 @@ def replay(tmp_path, *, limit=None, **environment):
     code = "import cli; cli.npcache()"
     if limit:
         code = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit})); {code}"
-    command = [sys.executable, "-c", code, "replay", "x.din", "--report", "csv"]
+    command = [sys.executable, "-c", code, "replay", "x.din", "--format", "csv"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[1].startswith("x.din,8192,1,32,lru,traced,stored,3,2,")
-    return done.stderr.splitlines()
+    assert done.stdout.splitlines()[1].startswith("x.din,x.din,,,,,,,,,,,,8192,1,32,lru,,traced,stored,3,2,")
+    *lines, last = done.stderr.splitlines()
+    assert "accesses read in" in last
+    return lines
 
 
 def test_a_full_folder_stops_nothing(tmp_path):

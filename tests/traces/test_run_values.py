@@ -47,7 +47,7 @@ COMMANDS = [
     (cli.npcache, ["replay", "--size", "8K"]),
     (cli.npcache, ["replay", "--prefetch", "none,stack:tris*2", "--layout", "stored,dfs"]),
     (cli.npcache, ["sweep", "--ways", "1,2", "--threads", "1"]),
-    (cli.nptrace, ["export", "--to", "din", "-o", "x.din"]),
+    (cli.nptrace, ["export", "-o", "x.din"]),
 ]
 
 

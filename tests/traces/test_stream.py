@@ -192,7 +192,7 @@ def test_names_that_are_no_text(tmp_path):
             ["npcache", "replay", "--traces", str(folder)],
             ["npcache", "sweep", str(made.path), "--ways", "1", "--threads", "1"],
             ["npcache", "sweep", str(made.path), "--ways", "1", "--threads", "1", "-o", os.fsdecode(b"o\xe9.parquet")],
-            ["nptrace", "export", str(made.path), "--to", "din"],
+            ["nptrace", "export", str(made.path)],
         ):
             code = f"import sys, cli; cli.{command[0]}()"
             done = subprocess.run(

@@ -54,30 +54,26 @@ def check_invariants(tree):
     np.testing.assert_array_equal(tree.bounds, [nodes["lower"][0], nodes["upper"][0]])
 
 
-def reference_sweep(triangles):
-    """Return nodes as (n triangles, axis or None) in depth-first pair order, every split tried by brute force."""
+def reference_tree(triangles, cheapest, trav=1.0, min_leaf=0, max_leaf=None):
+    """Return nodes as (n triangles, axis or None, triangles) in depth-first pair order.
+
+    ``cheapest`` is a function of (ids, lower, upper, centre) -> the best (cost, axis, left, right), or None.
+    """
     lower, upper = triangles.min(axis=1), triangles.max(axis=1)
     centre = lower.astype(np.float64) + upper
     nodes = [None]
 
     def split(slot, ids):
         n = len(ids)
-        box = half_area(lower[ids].min(axis=0), upper[ids].max(axis=0))
-        best = None
-        axes = range(3)
-        if n == 2:
-            axes = [int(np.argmax(upper[ids].max(axis=0) - lower[ids].min(axis=0)))]
-        for axis in axes:
-            order = sorted(ids, key=lambda i, axis=axis: (centre[i, axis], i))
-            for k in range(1, n):
-                left, right = order[:k], order[k:]
-                cost = half_area(lower[left].min(axis=0), upper[left].max(axis=0)) * k
-                cost += half_area(lower[right].min(axis=0), upper[right].max(axis=0)) * (n - k)
-                if best is None or cost < best[0]:
-                    best = cost, axis, left, right
-        if best is None or not box + best[0] < box * n:
+        low, high = lower[ids].min(axis=0), upper[ids].max(axis=0)
+        area = half_area(low, high)
+        best = cheapest(ids, lower, upper, centre) if n > min_leaf else None
+        pays = best is not None and trav * area + best[0] < area * n
+        if not pays and (max_leaf is None or n <= max_leaf):
             nodes[slot] = (n, None, sorted(ids))
             return
+        if best is None or not best[0] < area * n:  # no cut makes the children smaller: halves, by number
+            best = None, int(np.argmax(high - low)), sorted(ids)[: n // 2], sorted(ids)[n // 2 :]
         nodes[slot] = (n, best[1], sorted(ids))
         at = len(nodes)
         nodes.extend([None, None])
@@ -86,6 +82,54 @@ def reference_sweep(triangles):
 
     split(0, list(range(len(triangles))))
     return nodes
+
+
+def cost_of(parts, lower, upper):
+    return sum(half_area(lower[ids].min(axis=0), upper[ids].max(axis=0)) * len(ids) for ids in parts)
+
+
+def cheapest_cut(ids, lower, upper, centre):
+    """Every cut of the three orders of centroids, a pair's along its longest axis only."""
+    n, best = len(ids), None
+    axes = range(3)
+    if n == 2:
+        axes = [int(np.argmax(upper[ids].max(axis=0) - lower[ids].min(axis=0)))]
+    for axis in axes:
+        order = sorted(ids, key=lambda i, axis=axis: (centre[i, axis], i))
+        for k in range(1, n):
+            cost = cost_of((order[:k], order[k:]), lower, upper)
+            if best is None or cost < best[0]:
+                best = cost, axis, order[:k], order[k:]
+    return best
+
+
+def cheapest_bins(ids, lower, upper, centre):
+    """Every plane between bins: 4 + n / 20 per axis, at most 16."""
+    n_bins, best = min(4 + len(ids) // 20, 16), None
+    for axis in range(3):
+        low = centre[ids, axis].min()
+        with np.errstate(divide="ignore"):
+            scale = n_bins / (centre[ids, axis].max() - low)
+        if scale == np.inf:
+            continue
+        bins = np.minimum(((centre[ids, axis] - low) * scale).astype(int), n_bins - 1)
+        for cut in range(1, n_bins):
+            left = [i for i, b in zip(ids, bins, strict=True) if b < cut]
+            right = [i for i, b in zip(ids, bins, strict=True) if b >= cut]
+            if not left or not right:
+                continue
+            cost = cost_of((left, right), lower, upper)
+            if best is None or cost < best[0]:
+                best = cost, axis, left, right
+    return best
+
+
+def reference_sweep(triangles, **rules):
+    return reference_tree(triangles, cheapest_cut, **rules)
+
+
+def reference_binned(triangles, **rules):
+    return reference_tree(triangles, cheapest_bins, **rules)
 
 
 @given(triangle_lists)
@@ -94,45 +138,6 @@ def test_sweep_equals_brute_force(corners):
     triangles = np.array(corners, np.float32).reshape(-1, 3, 3)
     tree = build_bvh(triangles)
     assert_is_reference(tree, reference_sweep(triangles))
-
-
-def reference_binned(triangles):
-    """As ``reference_sweep``, every plane between bins tried: 4 + n / 20 bins per axis, at most 16."""
-    lower, upper = triangles.min(axis=1), triangles.max(axis=1)
-    centre = lower.astype(np.float64) + upper
-    nodes = [None]
-
-    def split(slot, ids):
-        n = len(ids)
-        box = half_area(lower[ids].min(axis=0), upper[ids].max(axis=0))
-        n_bins, best = min(4 + n // 20, 16), None
-        for axis in range(3):
-            low = centre[ids, axis].min()
-            with np.errstate(divide="ignore"):
-                scale = n_bins / (centre[ids, axis].max() - low)
-            if scale == np.inf:
-                continue
-            bins = np.minimum(((centre[ids, axis] - low) * scale).astype(int), n_bins - 1)
-            for cut in range(1, n_bins):
-                left = [i for i, b in zip(ids, bins, strict=True) if b < cut]
-                right = [i for i, b in zip(ids, bins, strict=True) if b >= cut]
-                if not left or not right:
-                    continue
-                cost = half_area(lower[left].min(axis=0), upper[left].max(axis=0)) * len(left)
-                cost += half_area(lower[right].min(axis=0), upper[right].max(axis=0)) * len(right)
-                if best is None or cost < best[0]:
-                    best = cost, axis, left, right
-        if best is None or not box + best[0] < box * n:
-            nodes[slot] = (n, None, sorted(ids))
-            return
-        nodes[slot] = (n, best[1], sorted(ids))
-        at = len(nodes)
-        nodes.extend([None, None])
-        split(at, best[2])
-        split(at + 1, best[3])
-
-    split(0, list(range(len(triangles))))
-    return nodes
 
 
 def assert_is_reference(tree, want):

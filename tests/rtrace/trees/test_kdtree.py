@@ -74,7 +74,7 @@ def part(triangle, cell, bounds, axis, plane, above):
     return result
 
 
-def slow_kdtree(triangles, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=511, max_refs=None):
+def slow_kdtree(triangles, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=511, max_refs=None, min_leaf=0, max_leaf=None):
     """The builder by its definition. Return (nodes as (axis, split or triangles, lower child), number of references)."""
     triangles = triangles.tolist()
     total = len(triangles)
@@ -86,8 +86,9 @@ def slow_kdtree(triangles, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=5
         d = [hi - lo for lo, hi in cell]
         half_area = d[0] * d[1] + d[1] * d[2] + d[2] * d[0]
         best = None
-        least = half_area * len(refs)
-        for axis in range(3) if level < max_level and half_area > 0 else ():
+        is_forced = max_leaf is not None and len(refs) > max_leaf
+        least = math.inf if is_forced else half_area * len(refs)
+        for axis in range(3) if level < max_level and half_area > 0 and len(refs) > min_leaf else ():
             lo, hi = cell[axis]
             cap, rim = d[(axis + 1) % 3] * d[(axis + 2) % 3], d[(axis + 1) % 3] + d[(axis + 2) % 3]
             spans = [bounds[axis] for _, bounds in refs]
@@ -104,6 +105,10 @@ def slow_kdtree(triangles, c_trav=1.5, c_isect=2.0, empty_bonus=1.0, max_level=5
                         cost *= empty_bonus
                     if cost < least:
                         least, best = cost, (axis, x, planar_below, n_below, n_above)
+        if best is not None and is_forced and least >= half_area * len(refs):
+            counts = sorted(best[3:])
+            if counts[1] == len(refs) and counts[0] > 0:  # it parts nothing
+                best = None
         if best is None or total - len(refs) + best[3] + best[4] > ceiling:
             nodes[node] = (LEAF_AXIS, [i for i, _ in refs], None)
             return

@@ -1,0 +1,123 @@
+"""A comparison of policies as tables, in sentences, and as a plot."""
+
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+from cachesim.clock.compare import BOUND, REFERENCE, Compared
+from nptrace_base.atomic import whole_file
+from nptrace_base.errors import NptraceError
+from nptrace_base.tables import Table, number, percent
+from traces.identity import labels
+
+_EXTRA = ("pollution", "requests\n/read", "coverage\n%", "demand\nmiss %", "accuracy\n%")
+
+NOTES = (
+    "speed-up = cycles of none on the first cache / cycles; bound %: of the cycles that 'perfect' saves, for which every read hits. "
+    "requests: of the unit, per line that a read looks up; accuracy = (timely + late) / filled; coverage = 1 - demand misses / those of "
+    "none; traffic = bytes from memory / those of none; pollution: demand misses on lines that a prefetch evicted.",
+)
+
+
+def tables(rows: Sequence[Compared]) -> tuple[list[Table], list[str]]:
+    """Return one table per run of policies and one of baselines, the fastest first, and the notes below them."""
+    names = labels(row.timing.identity for row in rows)
+    made, notes = [], list(NOTES)
+    for identity, of_run in groupby(rows, key=lambda row: row.timing.identity):
+        members = list(of_run)
+        made.append(_policies(f"{names[identity]}, {members[0].reference.config}: policies", members))
+        if any(row.group == "baseline" for row in members):
+            made.append(_baselines(f"{names[identity]}: no unit needed: longer lines, alignment, node order", members))
+        notes += _verdict(names[identity], members)
+    return made, notes
+
+
+def _policies(title: str, rows: Sequence[Compared]) -> Table:
+    header = ["prefetch", "cycles\n/ray", "speed-\nup", "bound\n%", "traffic", "accuracy\n%", "coverage\n%", "demand\nmiss %"]
+    header += ["requests\n/read", "pollution"]
+    lines = []
+    for row in sorted((row for row in rows if row.group == "policy"), key=lambda row: row.timing.cycles):
+        figures = row.to_dict()
+        lines.append([
+            row.timing.prefetch, number(figures["cycles_per_ray"], 1), number(row.speed_up, 3), percent(row.share_of_bound, 1),
+            number(row.traffic_ratio, 2), percent(figures["accuracy"], 1), percent(row.coverage, 1),
+            percent(figures["demand_miss_rate"], 1), number(figures["requests_per_read"], 3), number(row.timing.lines["pollution"]),
+        ])  # fmt: skip
+    return Table(title, header, lines, extra=_EXTRA)
+
+
+def _baselines(title: str, rows: Sequence[Compared]) -> Table:
+    """Return a line per cache and layout without prefetches, with what a unit on top of it gives."""
+    on_top = {(row.timing.config, row.timing.layout, row.timing.prefetch): row for row in rows}
+    units = list(dict.fromkeys(row.timing.prefetch for row in rows if row.group == "baseline" and row.timing.prefetch != REFERENCE))
+    header = ["cache", "layout", "cycles\n/ray", "speed-\nup", "bound\n%", "traffic", "demand\nmiss %"]
+    header += [f"and\n{unit.removesuffix(':unlimited')}" for unit in units]
+    lines = []
+    plain = [row for row in rows if row.group == "baseline" and row.timing.prefetch == REFERENCE]
+    for row in sorted(plain, key=lambda row: row.timing.cycles):
+        key = row.timing.config, row.timing.layout
+        lines.append([
+            str(row.timing.config), row.timing.layout, number(row.to_dict()["cycles_per_ray"], 1), number(row.speed_up, 3),
+            percent(row.share_of_bound, 1), number(row.traffic_ratio, 2), percent(row.to_dict()["demand_miss_rate"], 1),
+            *(number(on_top[*key, unit].speed_up, 3) for unit in units),
+        ])  # fmt: skip
+    return Table(title, header, lines, n_left=2, extra=_EXTRA)
+
+
+def _verdict(name: str, rows: Sequence[Compared]) -> list[str]:
+    """Return what the comparison says, in sentences."""
+    real = [row for row in rows if row.group == "policy" and row.timing.prefetch not in (BOUND, REFERENCE)]
+    found = []
+    unit = next((row for row in real if row.timing.prefetch == "stack:unlimited"), None)
+    buildable = [row for row in real if not row.timing.prefetch.startswith(("oracle", "stack:unlimited:live"))]
+    if buildable:
+        best = min(buildable, key=lambda row: row.timing.cycles)
+        text = f"{name}: the best unit is {best.timing.prefetch} with {number(best.speed_up, 3)}x"
+        found.append(f"{text}, the paper's gives {number(unit.speed_up, 3)}x." if unit and unit is not best else f"{text}.")
+    plain = [row for row in rows if row.group == "baseline" and row.timing.prefetch == "none"]
+    if plain:
+        best = min(plain, key=lambda row: row.timing.cycles)
+        on_top = [row for row in rows if (row.timing.config, row.timing.layout) == (best.timing.config, best.timing.layout)]
+        gains = ", ".join(
+            f"{row.timing.prefetch} {number(best.timing.cycles / row.timing.cycles, 3)}x" for row in on_top if row is not best
+        )
+        found.append(
+            f"Without any unit, {best.timing.config} with the layout {best.timing.layout} gives {number(best.speed_up, 3)}x at "
+            f"{number(best.traffic_ratio, 2)} of the bytes; on top of it: {gains}."
+        )
+    return found
+
+
+def plot(rows: Sequence[Compared], path: Path) -> None:
+    """Draw the speed-ups as bars, a panel per run, as a PNG, SVG or PDF file by the ending of its name."""
+    if path.suffix not in (".png", ".svg", ".pdf"):
+        raise NptraceError(f"{path}: a plot ends in .png, .svg or .pdf")
+    with whole_file(path) as temporary:
+        try:
+            from matplotlib import rc_context
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
+        with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 8}):
+            names = labels(row.timing.identity for row in rows)
+            runs = [list(members) for _, members in groupby(rows, key=lambda row: row.timing.identity)]
+            n_bars = max(len(members) for members in runs)
+            figure = Figure(figsize=(4.6 * len(runs), 0.8 + 0.19 * n_bars), layout="constrained")
+            panels = figure.subplots(1, len(runs), squeeze=False)[0]
+            for panel, members in zip(panels, runs, strict=True):
+                shown = sorted(members, key=lambda row: row.timing.cycles, reverse=True)
+                texts = [
+                    row.timing.prefetch if row.group == "policy"
+                    else f"{row.timing.config.line_bytes} B, {row.timing.layout}, {row.timing.prefetch}"
+                    for row in shown
+                ]  # fmt: skip
+                colours = ["#4477aa" if row.group == "policy" else "#ccbb44" for row in shown]
+                bars = panel.barh(range(len(shown)), [row.speed_up or 0.0 for row in shown], color=colours)
+                panel.bar_label(bars, fmt="%.2f", padding=2, fontsize=6)
+                panel.set_yticks(range(len(shown)), texts, fontsize=6)
+                panel.axvline(1, color="black", linewidth=0.8)
+                panel.set_title(names[members[0].timing.identity], fontsize=9)
+                panel.margins(y=0.01)
+            figure.supxlabel("speed-up over no prefetching; blue: policies, yellow: layouts and line sizes", fontsize=8)
+            stamps: dict[str, dict[str, None]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+            figure.savefig(temporary, dpi=200, metadata=stamps.get(path.suffix), format=path.suffix[1:])

@@ -1,0 +1,77 @@
+"""Options that choose a machine and its caches, for the commands that count cycles."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from itertools import product
+from typing import Any
+
+import click
+
+from cachesim.clock.parameters import NUMBERS, PRESETS, Clock, parse_preset
+from cachesim.config import CacheConfig, parse_bytes, parse_ways
+from nptrace.options import ListOf, merged
+from nptrace_base.errors import NptraceError
+
+
+@dataclass(frozen=True)
+class Machines:
+    """What the options ask for: every cache, and every clock."""
+
+    configs: list[CacheConfig]
+    clocks: list[Clock]
+
+
+def parse_number(text: str) -> int:
+    """Return a whole number."""
+    if not text.strip().isdigit():
+        raise NptraceError(f"{text!r} is not a whole number; write e.g. 100, or a list such as 20,100,300")
+    return int(text)
+
+
+def machine_options(function: Callable[..., Any]) -> Any:
+    """Add the options; they are passed as ``machines``."""
+
+    @wraps(function)
+    def command(
+        machine: str, size: list[int], assoc: list[str], line: list[int], policy: str, seed: int, **kwargs: Any
+    ) -> Any:  # fmt: skip
+        numbers = {name: kwargs.pop(name) for name in NUMBERS}
+        usual = parse_preset(machine).cache
+        configs = [
+            CacheConfig(one_size, parse_ways(ways, one_size, one_line), one_line, policy.lower(), seed)
+            for one_line in line or [usual.line_bytes] for one_size in size or [usual.size_bytes]
+            for ways in assoc or ["full" if usual.n_sets == 1 else str(usual.ways)]
+        ]  # fmt: skip
+        return function(machines=Machines(configs, clocks_of(machine, numbers)), **kwargs)
+
+    for name, (meaning, _, _) in reversed(NUMBERS.items()):
+        command = _list(f"--{name}", parse_number, "N", f"{meaning[0].upper()}{meaning[1:]}.")(command)
+    command = click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")(command)
+    command = click.option("--policy", default="lru", show_default=True, help="Replacement: lru, fifo or random.")(command)
+    command = _list("--line", parse_bytes, "SIZES", "Line sizes in bytes.")(command)
+    command = _list("--assoc", str, "WAYS", "Associativity: numbers of ways, e.g. 1,2,full.", "--ways")(command)
+    command = _list("--size", parse_bytes, "SIZES", "Cache sizes, e.g. 8K,16K; those of the machine if left out.")(command)
+    return click.option(
+        "--machine", default="paper", show_default=True, type=click.Choice(list(PRESETS)),
+        help="Where the numbers below come from that are not given (sources at the end); lists make every combination.",
+    )(command)  # fmt: skip
+
+
+def _list(name: str, item: Any, metavar: str, help: str, *others: str) -> Any:
+    return click.option(
+        name, *others, type=ListOf(metavar, item), metavar=metavar, multiple=True, callback=merged, help=help
+    )  # fmt: skip
+
+
+def clocks_of(machine: str, numbers: dict[str, Sequence[int]]) -> list[Clock]:
+    """Return the machine with every combination of the numbers given."""
+    given = {name: values for name, values in numbers.items() if values}
+    clock = parse_preset(machine).clock
+    return [
+        clock.with_numbers(**dict(zip(given, values, strict=True))) for values in product(*given.values())
+    ]  # fmt: skip
+
+
+#: What ``--help`` says of the machines.
+SOURCES = "\n\n".join(["Machines and where their numbers come from:", *(f"{n}: {p.source}." for n, p in PRESETS.items())])

@@ -1,0 +1,66 @@
+"""npcache compare: all prefetch policies side by side, and what needs none."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from nptrace.clock_options import SOURCES, Machines, machine_options
+from nptrace.groups import BadInput, Command
+from nptrace.options import list_option, threads_option
+from nptrace.output import Output, output_option, results_options
+from nptrace.progress import Progress, done
+from nptrace.sources import LAYOUT_HELP, chosen_sources, traces_option
+
+if TYPE_CHECKING:
+    from cachesim.clock.compare import Compared
+
+
+@click.command(cls=Command, epilog=SOURCES)
+@click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
+@traces_option()
+@machine_options
+@list_option("--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all of them.")
+@click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
+@click.option("--baselines/--no-baselines", default=True, show_default=True, help="Compare line sizes, alignments and node orders.")
+@threads_option()
+@output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
+@results_options()
+def compare(
+    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool, threads: int,
+    picture: Path | None, output: Output,
+) -> None:  # fmt: skip
+    """Compare all prefetch policies on one cache and machine, in cycles, with their bound and with what needs no unit.
+
+    \b
+    npcache compare traces/bunny-bvh
+    npcache compare --machine rtx2060 --no-baselines --json
+    npcache compare traces/bunny-bvh --size 16K --assoc 2 --rays 4 --plot compare.png
+    """
+    from cachesim.clock.compare import compare as compare_run
+    from cachesim.report import compare_tables
+    from traces.reader import open_run
+
+    if len(machines.configs) * len(machines.clocks) > 1:
+        raise BadInput(
+            f"compare takes one cache and one machine, and the options ask for {len(machines.configs)} and "
+            f"{len(machines.clocks)}; use npcache time for lists"
+        )
+    names = [] if prefetch == ["all"] else prefetch
+    rows: list[Compared] = []
+    paths, began = chosen_sources(sources, folder), time.perf_counter()
+    with Progress(len(paths)) as bar:
+        for path in paths:
+            run = open_run(path)
+            bar.job(run.name)
+            rows += compare_run(
+                run, machines.configs[0], machines.clocks[0], layout=layout, prefetches=names, has_baselines=baselines,
+                threads=threads, progress=bar.phase("compare"),
+            )  # fmt: skip
+        if picture is not None:
+            bar.phase("plot")
+            compare_tables.plot(rows, picture)
+    if picture is None or output.is_asked_for:
+        output.write([row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
+    done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began)
