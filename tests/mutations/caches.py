@@ -38,7 +38,7 @@ MUTATIONS = [
     Mutation("kd-tree: the upper child takes the lower one's bounds", KT, "straddlers.slot, bounds.above, fresh)", "straddlers.slot, bounds.below, fresh)", KD),
     Mutation("kd-tree: the lower child's box reaches up to its parent's", KT, "boxes[BOX * cell + axis] = boxes[BOX * (cell + 1) + UPPER + axis] = value(place)", "boxes[BOX * cell + axis] = value(place)", KD),
     Mutation("kd-tree: the deepest level is not noted", KT, "state[_DEEPEST] = max(state[_DEEPEST], level + 1)", "state[_DEEPEST] = max(state[_DEEPEST], level)", KD),
-    Mutation("kd-tree: split although a leaf is as cheap", KT, "best = (np.inf if is_forced else half_area * n, np.int64(0)", "best = (np.inf if is_forced else half_area * n * 1.01 + 1e-30, np.int64(0)", KD),
+    Mutation("kd-tree: split although a leaf is as cheap", KT, "else half_area * n, np.int64(0)", "else half_area * n * 1.01 + 1e-30, np.int64(0)", KD),
     # --- clipping ---
     Mutation("clipping: ranks of negative numbers the wrong way round", CL, "return bits if bits >= 0 else -2147483648 - bits", "return bits", KD),
     Mutation("clipping: lower bounds are rounded inward", CL, "return place - 1 if value(place) > x else place", "return place", KD),
