@@ -112,5 +112,13 @@ def _rows(
         advance(1)
         for timing in timings:
             figures = timing.to_dict() | {"leaf": leaf}
-            names = (*COLUMNS_OF_RUN, "size_bytes", "ways", "line_bytes", "prefetch", *PRESETS["paper"].clock.to_dict(), *FIGURES)
+            names = (
+                *COLUMNS_OF_RUN,
+                "size_bytes",
+                "ways",
+                "line_bytes",
+                "prefetch",
+                *PRESETS["paper"].clock.to_dict(),
+                *FIGURES,
+            )
             yield {name: figures[name] for name in names}

@@ -49,7 +49,9 @@ def _policies(title: str, rows: Sequence[Compared]) -> Table:
 def _baselines(title: str, rows: Sequence[Compared]) -> Table:
     """Return a line per cache and layout without prefetches, with what a unit on top of it gives."""
     on_top = {(row.timing.config, row.timing.layout, row.timing.prefetch): row for row in rows}
-    units = list(dict.fromkeys(row.timing.prefetch for row in rows if row.group == "baseline" and row.timing.prefetch != REFERENCE))
+    units = list(
+        dict.fromkeys(row.timing.prefetch for row in rows if row.group == "baseline" and row.timing.prefetch != REFERENCE)
+    )
     header = ["cache", "layout", "cycles\n/ray", "speed-\nup", "bound\n%", "traffic", "demand\nmiss %"]
     header += [f"and\n{unit.removesuffix(':unlimited')}" for unit in units]
     lines = []

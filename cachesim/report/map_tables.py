@@ -108,7 +108,9 @@ def plot(rows: Sequence[Row], path: Path) -> None:
                         for x, value in enumerate(line):
                             panel.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=4.5)
                     panel.set_title(f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)}", fontsize=8)
-                    panel.set_xticks(range(len(across)), [f"{rays} x {miss}" for rays, miss in across], rotation=90, fontsize=6)
+                    panel.set_xticks(
+                        range(len(across)), [f"{rays} x {miss}" for rays, miss in across], rotation=90, fontsize=6
+                    )
                     panel.set_yticks(range(len(down)), [f"{leaf}, {triangle}" for leaf, triangle in down], fontsize=6)
             figure.supxlabel("rays in flight x miss latency (cycles)", fontsize=8)
             figure.supylabel("triangles per leaf, cycles per triangle test", fontsize=8)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cachesim.clock.parameters import PRESETS
+from cachesim.clock.timing import Timing, time_run
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.result import Result, ratio
@@ -38,7 +40,10 @@ Key = tuple[str, str, int, int]  # tree, scene, size_bytes, ways
 
 @dataclass(frozen=True)
 class Table1Row:
-    """One row: ``ours`` and ``paper`` by the names above; ``nodes_per_ray`` is the measured N (accesses per ray)."""
+    """One row: ``ours`` and ``paper`` by the names above.
+
+    ``nodes_per_ray`` is the measured N (accesses per ray), ``timing`` the same cache on the machine ``paper`` of the clock.
+    """
 
     tree: str
     scene: str
@@ -48,6 +53,7 @@ class Table1Row:
     ours: dict[str, float | None]
     paper: dict[str, float]
     nodes_per_ray: float | None
+    timing: Timing
 
     @property
     def is_stand_in(self) -> bool:
@@ -96,7 +102,7 @@ def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
     found: dict[tuple[str, str], list[Run]] = {}
     for run in runs:
         scene = run.footer.scene.name.lower()
-        if scene in SCENES:
+        if scene in SCENES and run.footer.tree.kind in TREES:
             found.setdefault((run.footer.tree.kind, scene), []).append(run)
     chosen = {}
     for (tree, scene), candidates in found.items():
@@ -126,12 +132,14 @@ def table1(
     for (tree, scene), run in sorted(chosen.items(), key=lambda item: (list(TREES).index(item[0][0]), item[0][1])):
         keys = [key for key in paper if key[:2] == (tree, scene)]
         configs = [CacheConfig(size, ways, 32) for _, _, size, ways in keys]
-        for key, result in zip(keys, replay(run, configs, threads=threads, progress=progress), strict=True):
-            rows.append(_row(key, run.identity, result, paper[key]))
+        results = replay(run, configs, threads=threads, progress=progress)
+        timings = time_run(run, configs, [PRESETS["paper"].clock], threads=threads, progress=progress)
+        for key, result, timing in zip(keys, results, timings, strict=True):
+            rows.append(_row(key, result, timing, paper[key]))
     return rows
 
 
-def _row(key: Key, identity: RunIdentity, result: Result, paper: dict[str, float]) -> Table1Row:
+def _row(key: Key, result: Result, timing: Timing, paper: dict[str, float]) -> Table1Row:
     tree, scene, size_bytes, ways = key
     miss_a = ratio(result.demand_misses_without, result.demand_accesses)
     miss_b, n = result.paper_miss_rate, PAPER_N[tree]
@@ -152,7 +160,8 @@ def _row(key: Key, identity: RunIdentity, result: Result, paper: dict[str, float
         "accuracy": _percent(result.accuracy),
     }
     per_ray = ratio(result.demand_accesses, result.n_rays or 0)
-    return Table1Row(tree, scene, identity, size_bytes, ways, {n: ours[n] for n in NAMES} | demand, paper, per_ray)
+    figures = {n: ours[n] for n in NAMES} | demand
+    return Table1Row(tree, scene, result.identity, size_bytes, ways, figures, paper, per_ray, timing)
 
 
 def _percent(fraction: float | None) -> float | None:
@@ -188,6 +197,9 @@ def _record(row: Table1Row) -> dict[str, Any]:
         "accesses_per_ray": row.nodes_per_ray,
         "acpr_without_measured_n": row.measured_acpr("acpr_a"),
         "acpr_measured_n": row.measured_acpr("acpr_b"),
+        "cycles_per_ray_without": ratio(row.timing.cycles_without, row.timing.n_rays),
+        "cycles_per_ray": ratio(row.timing.cycles, row.timing.n_rays),
+        "speed_up": row.timing.speed_up,
     }
 
 

@@ -1,7 +1,9 @@
 """Table I, printed: rows of ``cachesim.report.table1`` -> tables (ours, the paper's, the difference) and the notes below."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
+from cachesim.clock.parameters import Clock
 from cachesim.config import format_bytes
 from cachesim.report.table1 import NAMES, PAPER_N, TREES, Table1Row
 from nptrace_base.tables import Table, number
@@ -30,7 +32,7 @@ NOTES = (
 def tables(rows: Sequence[Table1Row]) -> list[Table]:
     """Return one table per tree, and a table of the ACPR with the measured N."""
     made = [_tree_table(title, [row for row in rows if row.tree == tree]) for tree, title in TREES.items()]
-    return [table for table in made if table.rows] + [_acpr_table(rows)]
+    return [table for table in made if table.rows] + [_acpr_table(rows), _time_table(rows)]
 
 
 def notes(rows: Sequence[Table1Row]) -> list[str]:
@@ -38,7 +40,7 @@ def notes(rows: Sequence[Table1Row]) -> list[str]:
     stand_ins = [] if not any(row.is_stand_in for row in rows) else [
         "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
     ]  # fmt: skip
-    return [*NOTES, *stand_ins]
+    return [*NOTES, *stand_ins, *verdict(rows)]
 
 
 def _tree_table(title: str, rows: Sequence[Table1Row]) -> Table:
@@ -75,3 +77,51 @@ def _acpr_table(rows: Sequence[Table1Row]) -> Table:
             line += [number(by_cache[cache].measured_acpr(name), 1) for name in ("acpr_a", "acpr_b")]
         lines.append(line)
     return Table("ACPR with the measured N (demand accesses per ray)", header, lines, n_left=2)
+
+
+def _time_table(rows: Sequence[Table1Row]) -> Table:
+    """Return what the printed reductions are worth in time."""
+    header = ["Tree", "Scene", "Cache", "paper's\nmiss B/A", "ours", "demand\nB/A", "cycles/ray\nA", "B", "speed-up"]
+    lines = [
+        [
+            TREES[row.tree], row.scene_title[:1].upper() + row.scene_title[1:], f"{format_bytes(row.size_bytes)}({row.ways})",
+            number(row.paper["miss_ratio"], 1), number(row.ours["miss_ratio"], 1), number(row.ours["demand_ratio"], 1),
+            number(row.timing.cycles_without / row.timing.n_rays, 1), number(row.timing.cycles / row.timing.n_rays, 1),
+            number(row.timing.speed_up, 3),
+        ]
+        for row in rows
+    ]  # fmt: skip
+    sections = {i for i, (row, after) in enumerate(pairwise(rows)) if (row.tree, row.scene) != (after.tree, after.scene)}
+    title = f"In time: the clock's machine 'paper' ({_numbers(rows[0].timing.clock)})"
+    return Table(title, header, lines, n_left=3, sections=sections, extra=("cycles/ray\nA", "B", "ours"))
+
+
+def _numbers(clock: Clock) -> str:
+    return ", ".join(
+        f"{name} {value}" for name, value in clock.to_dict().items() if name in ("hit", "miss", "box", "triangle", "rays")
+    )
+
+
+def verdict(rows: Sequence[Table1Row]) -> list[str]:
+    """Return, for each tree, what the numbers mean, in a sentence made from them."""
+    found = []
+    for tree, title in TREES.items():
+        members = [row for row in rows if row.tree == tree]
+        if members:
+            paper, demand = (_fall([row.ours[name] for row in members]) for name in ("miss_ratio", "demand_ratio"))
+            time = [100 - 100 / row.timing.speed_up for row in members if row.timing.speed_up]
+            found.append(
+                f"{title}: the paper's miss rate changes by {paper} %, because its prefetches count as accesses; demand misses change by "
+                f"{demand} %; the time of a ray by {_range([-value for value in time])} %."
+            )
+    return found
+
+
+def _fall(ratios: Sequence[float | None]) -> str:
+    return _range([value - 100 for value in ratios if value is not None])
+
+
+def _range(values: Sequence[float]) -> str:
+    """Return the least and the most of some changes."""
+    low, high = f"{min(values):+.1f}", f"{max(values):+.1f}"
+    return low if low == high else f"{low} to {high}"

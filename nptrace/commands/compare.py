@@ -21,9 +21,13 @@ if TYPE_CHECKING:
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @machine_options
-@list_option("--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all of them.")
+@list_option(
+    "--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all of them."
+)
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
-@click.option("--baselines/--no-baselines", default=True, show_default=True, help="Compare line sizes, alignments and node orders.")
+@click.option(
+    "--baselines/--no-baselines", default=True, show_default=True, help="Compare line sizes, alignments and node orders."
+)
 @threads_option()
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()

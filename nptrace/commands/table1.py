@@ -58,7 +58,7 @@ def table1(
     with Progress(1) as bar:
         bar.job("Table I")
         rows = table.table1(
-            chosen, threads=threads, progress=bar.phase("replay", sum(run.n_accesses for run in chosen.values()))
+            chosen, threads=threads, progress=bar.phase("replay and time", 2 * sum(run.n_accesses for run in chosen.values()))
         )
     for tree, scene in table.missing(chosen):
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 @machine_options
 @list_option("--prefetch", item=str, metavar="POLICIES", default="stack", help=prefetch_help())
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
-@output_option("--timeline", "timeline", help="Write some cycles of one case as a trace-event file, for Perfetto or chrome://tracing.")
+@output_option(
+    "--timeline", "timeline", help="Write some cycles of one case as a trace-event file, for Perfetto or chrome://tracing."
+)
 @threads_option()
 @results_options()
 def time_(
@@ -51,7 +53,9 @@ def time_(
     paths = chosen_sources(sources, folder)
     n_cases = len(paths) * len(layouts) * len(policies) * len(machines.configs) * len(machines.clocks)
     if timeline is not None and n_cases > 1:
-        raise BadInput(f"--timeline shows one case, and the options ask for {n_cases}; name one run, cache, machine and policy")
+        raise BadInput(
+            f"--timeline shows one case, and the options ask for {n_cases}; name one run, cache, machine and policy"
+        )
     results: list[Timing] = []
     began = time.perf_counter()
     with Progress(len(paths) * len(layouts)) as bar:
