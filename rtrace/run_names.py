@@ -5,7 +5,7 @@
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -15,8 +15,6 @@ from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from traces.identity import STAND_IN
 from traces.node_formats import NODE_FORMATS
-
-_BUILDERS: dict[str, Callable[..., Any]] = {"kdtree": build_kdtree, "bvh": build_bvh}
 
 
 def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: Shooting) -> str:
@@ -35,9 +33,11 @@ def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: Shoot
 
 
 def _builder_parts(kind: str, params: Mapping[str, Any]) -> list[str]:
-    usual = inspect.signature(_BUILDERS[NODE_FORMATS[kind].tree]).parameters
+    """Return what the builder's parameters add: all but its defaults and ``max_refs``, which follows from the triangles."""
+    signature = inspect.signature(build_kdtree if NODE_FORMATS[kind].tree == "kdtree" else build_bvh)
+    usual = {"builder": "sah"} | {name: each.default for name, each in signature.parameters.items()}
     return [
         str(value) if name == "builder" else f"{name}{value!r}".removesuffix(".0")
         for name, value in sorted(params.items())
-        if name in usual and usual[name].default is not None and value != usual[name].default
+        if name != "max_refs" and value != usual.get(name)
     ]

@@ -71,7 +71,7 @@ def test_statement_1_the_trace_can_be_recovered(group, thousands):
 
 @pytest.mark.parametrize(("group", "p"), paired(0.162, 0.182, 0.098, 0.142, 0.146, 0.164, 0.070, 0.093))
 def test_statement_2_prefetches_are_counted_as_accesses(group, p):
-    """Bandwidth B/A over miss rate B/A is accesses B/A, one number for the four caches: the miss rate falls by 1/(1 + p)."""
+    """Bandwidth B/A over miss rate B/A is accesses B/A, one number for the four caches: the miss rate falls to 1/(1 + p)."""
     ratios = [row["kb_ratio"] / row["miss_ratio"] for row in rows_of(group)]
     assert max(ratios) - min(ratios) < 0.006
     assert sum(ratios) / 4 == pytest.approx(1 + p, abs=0.003)
