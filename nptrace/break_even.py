@@ -1,7 +1,7 @@
 """The break-even map: scenes, trees, leaf sizes and machines in; where prefetching pays, and where it costs, out.
 
-Each run (scene, tree, leaf size) is traced once and timed on every machine of the grid; its part is one Parquet file, written when it is
-complete, so an interrupted map goes on where it stopped.
+Each run (scene, tree, leaf size) is traced once and timed on every machine of the grid; its part is one Parquet file,
+written when it is complete, so an interrupted map goes on where it stopped.
 """
 
 import hashlib
@@ -25,8 +25,8 @@ from traces.reader import Run, open_run
 #: Columns of the map: which run, which machine, and what came of it.
 COLUMNS_OF_RUN = ("run", "scene", "stand_in", "tree", "leaf", "width", "height", "order")
 FIGURES = (
-    "cycles", "cycles_without", "speed_up", "cycles_per_ray_without", "demand_reads", "requests", "filled", "bytes_from_memory",
-    "traffic_ratio", "accuracy", "demand_miss_rate", "spent_port",
+    "cycles", "cycles_without", "speed_up", "cycles_per_ray_without", "demand_reads", "requests", "filled",
+    "bytes_from_memory", "traffic_ratio", "accuracy", "demand_miss_rate", "spent_port",
 )  # fmt: skip
 
 

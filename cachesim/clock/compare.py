@@ -85,17 +85,17 @@ def _bytes(timing: Timing) -> int:
 
 
 def usual_policies() -> list[str]:
-    """Return what is compared: every policy in its plain form, and some variants; the requests of ``traced`` are those of ``stack``."""
+    """Return what is compared: every policy in its plain form, some variants, and the bound."""
     plain = [name for name in policies() if name not in ("traced", REFERENCE, BOUND, "next-line")]
     sequential = [f"next-line:{when}" for when in ("always", "miss", "tagged")]
-    return sorted([*plain, *sequential, *VARIANTS]) + [BOUND]
+    return [*sorted([*plain, *sequential, *VARIANTS]), BOUND]
 
 
 def baselines(run: Run, config: CacheConfig, layout: Layout) -> list[tuple[CacheConfig, Layout]]:
     """Return caches of equal capacity and layouts that need no unit.
 
-    Lines of the size asked for, twice and four times it; nodes as they lie, with sibling pairs moved to where no line cuts them, and
-    in the other orders.
+    Lines of the size asked for, twice and four times it; nodes as they lie, with sibling pairs moved to where no line cuts
+    them, and in the other orders.
     """
     node_bytes = run.footer.tree.node_bytes
     found = []

@@ -1,8 +1,9 @@
 """The clock: the cycles in which something happens, one after the other.
 
-In a cycle, lines arrive first, in the order of their requests. Then come the events of the rays, by slot: a test is over, the next
-read becomes ready. Then the port takes as many requests as it has places: demand reads in the order in which they became
-ready, then prefetches, of the slot that has waited longest. A demand read that needs an MSHR when none is free holds the port.
+In a cycle, lines arrive first, in the order of their requests. Then come the events of the rays, by slot: a test is over,
+the next read becomes ready. Then the port takes as many requests as it has places: demand reads in the order in which they
+became ready, then prefetches, of the slot that has waited longest. A demand read that needs an MSHR when none is free holds
+the port.
 """
 
 import numpy as np
@@ -453,7 +454,8 @@ def _tally(clock, parameters, line, what):
 def _class_of(machine, clock, parameters, slot, node, is_prefetch):
     """Return the class of a read, or of a request, of a node; ``node`` is negative for a request of a line.
 
-    A request by a unit that all rays share is of the class of slot 0's ray; reads have no place on the stack and no leaf: class 0.
+    A request by a unit that all rays share is of the class of slot 0's ray; reads have no place on the stack and no leaf:
+    class 0.
     """
     own = min(slot, machine.sp.size - 1)
     if parameters.by == BY_LEVEL:

@@ -45,7 +45,7 @@ class Clock:
             raise NptraceError(f"hit={self.hit} takes longer than miss={self.miss}: a miss takes at least as long; swap them")
 
     def with_numbers(self, **numbers: int | None) -> "Clock":
-        """Return the machine with other numbers; None leaves one as it is. ``every`` follows ``triangle`` if that alone changes."""
+        """Return the machine with other numbers; None leaves one as it is. ``every`` follows ``triangle`` unless it is given."""
         changed = {name: value for name, value in numbers.items() if value is not None and value != getattr(self, name)}
         if "triangle" in changed and numbers.get("every") is None and self.every == self.triangle:
             changed["every"] = changed["triangle"]
@@ -76,42 +76,45 @@ def _preset(name: str, cache: CacheConfig, source: str, **numbers: int) -> Prese
 
 _KB = 1024
 
-#: The machines by name. What a source does not give is said with it; a single memory latency stands for levels below the cache.
+#: The machines by name. What a source does not give is said with it; a single memory latency stands for levels below the
+#: cache.
 PRESETS = {
     preset.clock.name: preset
     for preset in (
         _preset(
             "paper", CacheConfig(8 * _KB, 2, 32),
-            "Park et al. 2013, eq. 1: hit 1, miss 100; the paper gives no other number: 1 ray, 16 MSHRs, box test 1 and triangle test 8 "
-            "are ours",
+            "Park et al. 2013, eq. 1: hit 1, miss 100; the paper gives no other number: 1 ray, 16 MSHRs, box test 1 and "
+            "triangle test 8 are ours",
             hit=1, miss=100, triangle=8,
         ),
         _preset(
             "rtx2060", CacheConfig(64 * _KB, 512, 128),
-            "Vulkan-Sim, configs/tested-cfgs/SM75_RTX2060: hit 20, L2 160, 64 MSHRs of the RT unit, box and triangle 8, 4 warps of 32; "
-            "lines of 128 B, not their sectors",
+            "Vulkan-Sim, configs/tested-cfgs/SM75_RTX2060: hit 20, L2 160, 64 MSHRs of the RT unit, box and triangle 8, "
+            "4 warps of 32; lines of 128 B, not their sectors",
             hit=20, miss=160, mshrs=64, box=8, triangle=8, every=1, rays=128,
         ),
         _preset(
             "treelet", CacheConfig(64 * _KB, 512, 128),
-            "treelet-prefetching-for-rt (Chou et al., MICRO 2023), its configuration: hit 20, L2 160, 256 MSHRs, tests 4, 16 warps of 32",
+            "treelet-prefetching-for-rt (Chou et al., MICRO 2023), its configuration: hit 20, L2 160, 256 MSHRs, tests 4, "
+            "16 warps of 32",
             hit=20, miss=160, mshrs=256, box=4, triangle=4, every=1, rays=512,
         ),
         _preset(
             "ttp", CacheConfig(32 * _KB, 256, 128),
-            "TTP (arXiv 2605.16253), Table III and text: 32 KB fully associative, hit 20, misses of 100 to 300 (here 200), 256 MSHRs, "
-            "leaf test 8, 4 warps of 32",
+            "TTP (arXiv 2605.16253), Table III and text: 32 KB fully associative, hit 20, misses of 100 to 300 (here 200), "
+            "256 MSHRs, leaf test 8, 4 warps of 32",
             hit=20, miss=200, mshrs=256, box=8, triangle=8, rays=128,
         ),
         _preset(
             "arches", CacheConfig(64 * _KB, 32, 128),
-            "Arches, src/arches-v2 (RTX2080-like): hit 20, L2 160, box 12, triangle 22, a triangle a cycle, 64 rays; it gives 256 x 16 MSHRs",
+            "Arches, src/arches-v2 (RTX2080-like): hit 20, L2 160, box 12, triangle 22, a triangle a cycle, 64 rays; "
+            "256 x 16 MSHRs",
             hit=20, miss=160, mshrs=4096, box=12, triangle=22, every=1, rays=64,
         ),
         _preset(
             "simtrax", CacheConfig(32 * _KB, 1, 64),
-            "SimTRaX, samples/configs/default.config: 32 KB, lines of 64 B, 4 banks (here ports), hit 1, memory 100; its tests are "
-            "programs: box 8 and triangle 37 (GauTracer's, Table III) are ours",
+            "SimTRaX, samples/configs/default.config: 32 KB, lines of 64 B, 4 banks (here ports), hit 1, memory 100; its "
+            "tests are programs: box 8 and triangle 37 (GauTracer's, Table III) are ours",
             hit=1, miss=100, ports=4, box=8, triangle=37, rays=32,
         ),
     )

@@ -13,7 +13,8 @@ from cachesim.replacement import Lists, make_lists
 BOX, TRIANGLE, HIT, MISS, LATE, PORT, MSHR, UNIT, IDLE = range(9)
 CYCLES = ("box test", "triangle test", "hit", "demand miss", "late prefetch", "port", "MSHR full", "unit busy", "idle")
 
-#: What a tally is kept by, and its columns: lines looked up by reads, those that missed, and requests with what became of them.
+#: What a tally is kept by, and its columns: lines looked up by reads, those that missed, and requests with what became of
+#: them.
 BY = ("nothing", "level", "ray", "slot", "leaf")
 BY_NOTHING, BY_LEVEL, BY_RAY, BY_SLOT, BY_LEAF = range(len(BY))
 TALLY = ("reads", "misses", "late", "timely", "redundant", "joined", "filled", "evicted")
@@ -22,24 +23,26 @@ T_READS, T_MISSES, T_LATE, T_TIMELY, T_REDUNDANT, T_JOINED, T_FILLED, T_EVICTED 
 #: What the next event of a slot is.
 VISIT, LEAF, TEST, FREE = range(4)
 
-#: A ray in flight. ``event`` is what is due in cycle ``due``; ``row`` and ``end`` are rows of the demand stream, ``number`` its ray's
-#: number, ``started`` the cycle of its start, ``waiter`` the slot whose shadow ray waits for its end. ``last_kind`` and ``last_node``: of its
-#: last visit. ``since``: up to which cycle its time is accounted. Of a read: ``seen``, the cycle in which it first was first at a free
-#: port; ``lines_done``; when its data comes (``data_at``) and what that time counts as (``data_from``).
+#: A ray in flight. ``event`` is what is due in cycle ``due``; ``row`` and ``end`` are rows of the demand stream, ``number``
+#: its ray's number, ``started`` the cycle of its start, ``waiter`` the slot whose shadow ray waits for its end.
+#: ``last_kind`` and ``last_node``: of its last visit. ``since``: up to which cycle its time is accounted. Of a read:
+#: ``seen``, the cycle in which it first was first at a free port; ``lines_done``; when its data comes (``data_at``) and what
+#: that time counts as (``data_from``).
 SLOT = np.dtype([
     (name, np.int64)
     for name in (
-        "event", "due", "row", "end", "number", "type", "started", "waiter", "last_kind", "last_node", "since", "seen", "lines_done",
-        "data_at", "data_from",
+        "event", "due", "row", "end", "number", "type", "started", "waiter", "last_kind", "last_node", "since", "seen",
+        "lines_done", "data_at", "data_from",
     )
 ])  # fmt: skip
 
-#: The numbers of the machine, then the account of lines: what demand reads found, what prefetches found, and what became of the
-#: lines that prefetches filled.
+#: The numbers of the machine, then the account of lines: what demand reads found, what prefetches found, and what became of
+#: the lines that prefetches filled.
 NUMBERS = np.dtype([
     (name, np.int64)
     for name in (
-        "is_started", "next_ray", "n_queued", "queue_head", "in_flight", "oldest", "bus_free", "n_ended", "last_cycle", "n_logged",
+        "is_started", "next_ray", "n_queued", "queue_head", "in_flight", "oldest", "bus_free", "n_ended", "last_cycle",
+        "n_logged",
         "hits", "misses", "joined_by_demand", "redundant", "joined", "filled", "timely", "late", "saved", "waited", "evicted",
         "wanted_again", "pollution",
     )
@@ -123,6 +126,6 @@ def make_state(
 
 
 def n_classes(machine: Machine, by: int) -> int:
-    """Return the classes of a tally: levels; primary and shadow rays; places of the stack from the top, then all else; leaf sizes."""
+    """Return the classes of a tally: levels, types of rays, places on the stack from the top and then all else, leaf sizes."""
     tree = machine.tree
     return (0, int(tree.level.max()) + 1, 2, machine.stack.shape[1] + 1, int(tree.n_prims.max()) + 1)[by]

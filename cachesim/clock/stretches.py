@@ -16,8 +16,8 @@ NOTHING, THE_RAY_BEFORE = -1, -2
 class Stretches:
     """What the clocks read of a run.
 
-    A ray without accesses takes no time and is left out. A shadow ray that stands right after its primary ray follows it in the same
-    slot; any other waits until its primary ray has ended, in a slot of its own.
+    A ray without accesses takes no time and is left out. A shadow ray that stands right after its primary ray follows it in
+    the same slot; any other waits until its primary ray has ended, in a slot of its own.
     """
 
     def __init__(self, source: RunSource) -> None:
@@ -32,7 +32,7 @@ class Stretches:
         )
 
     def __iter__(self) -> Iterator[Rows]:
-        """Yield stretches, each with all rays of its rows; ``keep`` between two says from which row and ray the next must go on."""
+        """Yield stretches, each with all rays of its rows; ``keep`` says between two where the next must begin."""
         nodes, kinds = np.empty(0, np.uint32), np.empty(0, np.uint8)
         first, first_row, first_ray, n_seen, last_ray = np.zeros(0, np.int64), 0, 0, 0, -1
         for ray, node, kind in self._run.batches(("ray", "node", "kind")):
@@ -59,7 +59,8 @@ class Stretches:
         self._cut = row, ray
 
     def _rows(
-        self, nodes: np.ndarray, kinds: np.ndarray, first: np.ndarray, n_rays: int, first_row: int, first_ray: int, *, is_last: bool
+        self, nodes: np.ndarray, kinds: np.ndarray, first: np.ndarray, n_rays: int, first_row: int, first_ray: int, *,
+        is_last: bool
     ) -> Rows:  # fmt: skip
         waits_for = self._waits_for[first_ray : first_ray + n_rays]
         types = self._types[first_ray : first_ray + n_rays]

@@ -1,4 +1,4 @@
-"""Some cycles from the middle of a run as a picture: the trace-event format that Perfetto and chrome://tracing open, a cycle a microsecond."""
+"""Some cycles from the middle of a run in the trace-event format of Perfetto and chrome://tracing, a cycle a microsecond."""
 
 import json
 from pathlib import Path

@@ -97,7 +97,8 @@ class Timing:
             "policy_seed": config.seed if config.policy == "random" else None,
             "prefetch": self.prefetch, "layout": self.layout, **self.clock.to_dict(),
             "cycles": self.cycles, "cycles_without": self.cycles_without, "speed_up": self.speed_up,
-            "cycles_per_ray": ratio(self.cycles, self.n_rays), "cycles_per_ray_without": ratio(self.cycles_without, self.n_rays),
+            "cycles_per_ray": ratio(self.cycles, self.n_rays),
+            "cycles_per_ray_without": ratio(self.cycles_without, self.n_rays),
             "cycles_per_pixel": ratio(self.cycles, self.n_pixels),
             **{f"spent_{name.lower().replace(' ', '_')}": n for name, n in self.spent.items()},
             "demand_reads": self.reads, "demand_hits": lines["hits"], "demand_misses": lines["misses"],
@@ -243,11 +244,12 @@ class Workshop:
         unit = self._unit(policy, machine, facts, prefetch.options, is_scout, scout)
         if unit is None:
             return None
+        transfer = -(-config.line_bytes // clock.bandwidth) if clock.bandwidth else 0
+        reads_less = self._boxes in (NO_BOX, CHILD_BOXES)
         parameters = Parameters(
-            clock.hit, clock.miss, clock.mshrs, clock.ports, -(-config.line_bytes // clock.bandwidth) if clock.bandwidth else 0,
-            clock.box, clock.triangle, clock.every, clock.units, policy.is_perfect,
-            skips=self._boxes in (NO_BOX, CHILD_BOXES), follows=self._boxes in (NO_BOX, CHILD_BOXES),
-            watches_leaves=policy.watches_leaves, by=self._by, mask=set_mask(config.n_sets),
+            clock.hit, clock.miss, clock.mshrs, clock.ports, transfer, clock.box, clock.triangle, clock.every, clock.units,
+            policy.is_perfect, skips=reads_less, follows=reads_less, watches_leaves=policy.watches_leaves, by=self._by,
+            mask=set_mask(config.n_sets),
         )  # fmt: skip
         return _Job(prefetch, parameters, machine, make_state(config, machine, parameters, *log), unit)
 

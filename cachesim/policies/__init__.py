@@ -1,7 +1,7 @@
 """Prefetch policies, a file each: a name, options, and a unit whose hooks the replay and the clock call (``hooks``).
 
-A file that defines ``FORM``, ``HELP`` and ``POLICY`` is a policy; nothing else has to know of it. Another package adds one with an
-entry point of the group ``nptrace.policies`` that names its ``Policy``.
+A file that defines ``FORM``, ``HELP`` and ``POLICY`` is a policy; nothing else has to know of it. Another package adds one
+with an entry point of the group ``nptrace.policies`` that names its ``Policy``.
 """
 
 import ast

@@ -1,4 +1,4 @@
-"""What a prefetch policy sees and changes: the tree, the stack of every ray in flight, the lines, and who waits for the port."""
+"""What a prefetch policy sees and changes: the tree, the stacks of the rays in flight, the lines, and who wants the port."""
 
 from typing import NamedTuple
 
@@ -71,8 +71,8 @@ class Machine(NamedTuple):
         Cycle in which the port last took a request of each slot.
     port : (1,) PORT
         ``now``, the cycle; ``blocked``, the slot whose prefetch waits for an MSHR (-1: none); and the account of candidates:
-        ``offered`` by the policy; ``issued`` to the port; or dropped, for want of time, of the port or of an MSHR, or because the
-        ray came first.
+        ``offered`` by the policy; ``issued`` to the port; or dropped, for want of time, of the port or of an MSHR, or
+        because the ray came first.
     """
 
     tree: Tree

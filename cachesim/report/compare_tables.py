@@ -13,9 +13,9 @@ from traces.identity import labels
 _EXTRA = ("pollution", "requests\n/read", "coverage\n%", "demand\nmiss %", "accuracy\n%")
 
 NOTES = (
-    "speed-up = cycles of none on the first cache / cycles; bound %: of the cycles that 'perfect' saves, for which every read hits. "
-    "requests: of the unit, per line that a read looks up; accuracy = (timely + late) / filled; coverage = 1 - demand misses / those of "
-    "none; traffic = bytes from memory / those of none; pollution: demand misses on lines that a prefetch evicted.",
+    "speed-up = cycles of none on the first cache / cycles; bound %: of the cycles that 'perfect' saves, for which every read "
+    "hits. requests: of the unit, per line that a read looks up; accuracy = (timely + late) / filled; coverage = 1 - demand "
+    "misses / those of none; traffic = bytes from memory / those of none; pollution: demand misses on lines that a prefetch evicted.",
 )
 
 
@@ -39,9 +39,10 @@ def _policies(title: str, rows: Sequence[Compared]) -> Table:
     for row in sorted((row for row in rows if row.group == "policy"), key=lambda row: row.timing.cycles):
         figures = row.to_dict()
         lines.append([
-            row.timing.prefetch, number(figures["cycles_per_ray"], 1), number(row.speed_up, 3), percent(row.share_of_bound, 1),
-            number(row.traffic_ratio, 2), percent(figures["accuracy"], 1), percent(row.coverage, 1),
-            percent(figures["demand_miss_rate"], 1), number(figures["requests_per_read"], 3), number(row.timing.lines["pollution"]),
+            row.timing.prefetch, number(figures["cycles_per_ray"], 1), number(row.speed_up, 3), percent(row.share_of_bound,
+            1), number(row.traffic_ratio, 2), percent(figures["accuracy"], 1), percent(row.coverage, 1),
+            percent(figures["demand_miss_rate"], 1), number(figures["requests_per_read"], 3),
+            number(row.timing.lines["pollution"]),
         ])  # fmt: skip
     return Table(title, header, lines, extra=_EXTRA)
 
@@ -84,8 +85,8 @@ def _verdict(name: str, rows: Sequence[Compared]) -> list[str]:
             f"{row.timing.prefetch} {number(best.timing.cycles / row.timing.cycles, 3)}x" for row in on_top if row is not best
         )
         found.append(
-            f"Without any unit, {best.timing.config} with the layout {best.timing.layout} gives {number(best.speed_up, 3)}x at "
-            f"{number(best.traffic_ratio, 2)} of the bytes; on top of it: {gains}."
+            f"Without any unit, {best.timing.config} with the layout {best.timing.layout} gives {number(best.speed_up, 3)}x "
+            f"at {number(best.traffic_ratio, 2)} of the bytes; on top of it: {gains}."
         )
     return found
 

@@ -17,8 +17,8 @@ TREES = {"kdtree": "kd-tree, 8-byte nodes", "bvh": "BVH, 32-byte nodes", "bvh64"
 NO_DIFFERENCE = 0.005
 
 NOTES = (
-    "speed-up = cycles without prefetching / with, the same cache and machine: median (least to most) over scenes, leaf sizes, triangle "
-    "tests, miss latencies and caches; pays % and costs %: cells above 1.005 and below 0.995.",
+    "speed-up = cycles without prefetching / with, the same cache and machine: median (least to most) over scenes, leaf sizes, "
+    "triangle tests, miss latencies and caches; pays % and costs %: cells above 1.005 and below 0.995.",
 )
 
 Row = Mapping[str, Any]
@@ -65,8 +65,9 @@ def verdict(rows: Sequence[Row]) -> list[str]:
             if not cells:
                 continue
             best, worst = max(cells, key=lambda row: row["speed_up"]), min(cells, key=lambda row: row["speed_up"])
-            text = f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)} gives {median(r['speed_up'] for r in cells):.3f}x in the "
-            text += f"middle, {best['speed_up']:.2f}x at best ({_where(best)})"
+            middle = median(row["speed_up"] for row in cells)
+            text = f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)} gives {middle:.3f}x in the middle, "
+            text += f"{best['speed_up']:.2f}x at best ({_where(best)})"
             if worst["speed_up"] < 1 - NO_DIFFERENCE:
                 text += f", and costs up to {100 * (1 / worst['speed_up'] - 1):.1f} % more cycles ({_where(worst)})"
             found.append(text + ".")
@@ -79,7 +80,7 @@ def _where(row: Row) -> str:
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
-    """Draw the median speed-up over scenes and caches: a panel per tree and policy, leaf size and triangle test by miss and rays."""
+    """Draw the median speed-up over scenes and caches, a panel per tree and policy: leaf and triangle test by rays and miss."""
     if path.suffix not in (".png", ".svg", ".pdf"):
         raise NptraceError(f"{path}: a plot ends in .png, .svg or .pdf")
     with whole_file(path) as temporary:
@@ -100,8 +101,11 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             for tree, panel_row in zip(trees, panels, strict=True):
                 for prefetch, panel in zip(policies, panel_row, strict=True):
                     cells = [
-                        [median(speed_ups(rows, tree=tree, prefetch=prefetch, rays=a[0], miss=a[1], leaf=d[0], triangle=d[1])) for a in across]
-                        for d in down
+                        [
+                            median(speed_ups(rows, tree=tree, prefetch=prefetch, rays=rays, miss=miss, leaf=leaf, triangle=test))
+                            for rays, miss in across
+                        ]
+                        for leaf, test in down
                     ]  # fmt: skip
                     image = panel.imshow(cells, cmap="RdBu", norm=norm, aspect="auto")
                     for y, line in enumerate(cells):

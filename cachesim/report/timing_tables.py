@@ -10,24 +10,24 @@ from traces.identity import labels
 #: Columns without which a narrow terminal does, the first to go first.
 _EXTRA = ("unit\n%", "idle\n%", "cycles\n/pixel", "port\n%", "MSHR\nfull %", "without", "hit\n%", "box\n%", "triangle\n%")
 _FATE_EXTRA = (
-    "demanded\nfirst", "resident", "joined", "no MSHR", "evicted\nearly", "redundant", "no time", "port\nbusy", "cycles\nwaited",
-    "cycles\nsaved",
+    "demanded\nfirst", "resident", "joined", "no MSHR", "evicted\nearly", "redundant", "no time", "port\nbusy",
+    "cycles\nwaited", "cycles\nsaved",
 )  # fmt: skip
 
 NOTES = (
     "speed-up = cycles without / with prefetching. The percentages are of the cycles of all rays in flight and add up to 100: "
-    "a read's wait for the port and for an MSHR, its hit or its miss (a miss on a line that a prefetch has requested is late), "
-    "the tests of boxes and triangles, the wait for an intersection unit, and idle.",
+    "a read's wait for the port and for an MSHR, its hit or its miss (a miss on a line that a prefetch has requested is "
+    "late), the tests of boxes and triangles, the wait for an intersection unit, and idle.",
 )
 _FATE_NOTES = (
-    "offered = no time + port busy + no MSHR + demanded first + issued: what the policy wanted, and why the port did not take it; "
-    "a node in one line is one request, redundant (in the cache), joined (in flight) or filled; filled = timely + late + evicted early "
-    "(and wanted again) + never used + resident.",
+    "offered = no time + port busy + no MSHR + demanded first + issued: what the policy wanted, and why the port did not take "
+    "it; a node in one line is one request, redundant (in the cache), joined (in flight) or filled; filled = timely + late + "
+    "evicted early (and wanted again) + never used + resident.",
 )
 
 
 def keys_of(results: Sequence[Timing]) -> dict[str, list[str]]:
-    """Return the columns that tell the results apart, as text: run, cache, layout, policy, and the numbers of the clock that vary."""
+    """Return the columns that tell the results apart, as text: run, cache, layout, policy, and what varies of the clock."""
     names = labels(result.identity for result in results)
     keys: dict[str, list[str]] = {
         "run": [names[each.identity] for each in results],
@@ -64,8 +64,8 @@ def tables(results: Sequence[Timing]) -> tuple[list[Table], list[str]]:
         "cycles\n/pixel": lambda r: number(r.cycles / r.n_pixels, 1),
     }
     shares = {
-        "box\n%": "box test", "triangle\n%": "triangle test", "hit\n%": "hit", "miss\n%": "demand miss", "late\n%": "late prefetch",
-        "port\n%": "port", "MSHR\nfull %": "MSHR full", "unit\n%": "unit busy", "idle\n%": "idle",
+        "box\n%": "box test", "triangle\n%": "triangle test", "hit\n%": "hit", "miss\n%": "demand miss",
+        "late\n%": "late prefetch", "port\n%": "port", "MSHR\nfull %": "MSHR full", "unit\n%": "unit busy", "idle\n%": "idle",
     }  # fmt: skip
     columns |= {title: _share(name) for title, name in shares.items()}
     rows = [[*prefix, *(make(each) for make in columns.values())] for prefix, each in zip(prefixes, results, strict=True)]

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()
 def compare(
-    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool, threads: int,
-    picture: Path | None, output: Output,
+    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool, threads:
+    int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Compare all prefetch policies on one cache and machine, in cycles, with their bound and with what needs no unit.
 

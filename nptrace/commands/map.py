@@ -26,8 +26,8 @@ from nptrace.scene_options import load_scenes, scene_options
 @scene_options
 @results_options()
 def map_(
-    names: tuple[str, ...], pixels: str, quick: bool, out: Path, threads: int, picture: Path | None, strict: bool, offline: bool,
-    output: Output,
+    names: tuple[str, ...], pixels: str, quick: bool, out: Path, threads: int, picture: Path | None, strict: bool,
+    offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Map where prefetching pays: leaf size x triangle test x miss latency x rays in flight x cache, for each tree.
 

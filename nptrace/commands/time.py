@@ -34,9 +34,9 @@ def time_(
 ) -> None:  # fmt: skip
     """Count the cycles of runs, with and without prefetching, and say where they went.
 
-    The machine is that of the paper's Figure 1: rays in flight walk their recorded visits; a node read takes a port of the node
-    cache and hits, or waits for memory through an MSHR; a leaf takes an intersection unit, and the prefetch unit uses the cycles
-    of the port that no read needs.
+    The machine is that of the paper's Figure 1: rays in flight walk their recorded visits; a node read takes a port of the
+    node cache and hits, or waits for memory through an MSHR; a leaf takes an intersection unit, and the prefetch unit uses
+    the cycles of the port that no read needs.
 
     \b
     npcache time --size 8K --assoc 2

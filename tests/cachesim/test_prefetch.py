@@ -72,7 +72,8 @@ def test_any_policy_is_that_of_the_model(kind, seed, policy, cuts):
     parsed = parse_prefetch(text)
     budget = parsed.options.get("budget", UNLIMITED)
     budget = None if budget == UNLIMITED else budget
-    wanted = derive(trace.node_kinds, kind, trace.n_prims, budget, parsed.options.get("per_triangle", False), policy[1], policy[2])
+    per_triangle = parsed.options.get("per_triangle", False)
+    wanted = derive(trace.node_kinds, kind, trace.n_prims, budget, per_triangle, policy[1], policy[2])
     assert run_through(trace, text, cuts) == wanted
 
 
