@@ -17,10 +17,10 @@ NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::tes
 	tests/rtrace/trees/test_bvh.py::test_binned_equals_brute_force tests/rtrace/trees/test_bvh.py::test_sweep_equals_brute_force \
 	tests/cachesim/test_replay.py::test_every_count_is_that_of_the_model \
 	tests/cachesim/test_sweep.py::test_cells_are_those_of_the_model tests/cachesim/test_opt.py::test_every_count_is_that_of_the_model
-PAGES := README.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md
+PAGES := README.md docs/does-it-pay.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test test-nojit bench lint wheel-check map docs docs-check correctness fuzz speed-error reproduce-table clean
+.PHONY: help test test-nojit bench lint wheel-check map pay-data docs docs-check correctness fuzz speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -59,10 +59,23 @@ docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SC
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
 	$(BIN)/nptrace render bunny conference sibenik sponza --out $(VENV)/runs --overwrite
 	$(BIN)/npcache table1 --traces $(VENV)/runs --format csv -o docs/data/table1.csv
+	$(MAKE) pay-data
 	$(BIN)/nptrace render blob room nave court --accel bvh --pixels 320x320 --out $(VENV)/stand-ins --overwrite
 	$(BIN)/python docs/pictures.py docs/scenes.png $(VENV)/stand-ins/*/image.png
 	$(BIN)/nptrace check bunny conference sibenik sponza --json > docs/data/embree.json
 	$(BIN)/cog -r $(PAGES)
+
+RAYS := --rays 1,4,16,64 --mshrs 64 --prefetch stack,push,ttp,next-line:tagged,next-line:miss,treelet,perfect --format csv
+PAY := run,scene,tree,group,line_bytes,layout,prefetch,cycles_per_ray,speed_up,share_of_bound,traffic_ratio,accuracy,coverage
+pay-data: $(INSTALLED) # the figures of docs/does-it-pay.md except the map's, from the runs that `docs` renders
+	$(BIN)/nptrace render bunny conference sibenik sponza --accel bvh --bvh-nodes 64 --out $(VENV)/runs --overwrite
+	$(BIN)/npcache compare $(VENV)/runs/*-kdtree $(VENV)/runs/*-bvh --format csv -o $(VENV)/compare.csv
+	$(BIN)/npcache compare $(VENV)/runs/*-bvh64 --line 64 --format csv -o $(VENV)/compare64.csv
+	$(BIN)/python docs/columns.py docs/data/compare.csv $(PAY),demand_miss_rate,requests_per_read $(VENV)/compare.csv $(VENV)/compare64.csv
+	$(BIN)/npcache time $(VENV)/runs/*-kdtree $(VENV)/runs/*-bvh $(RAYS) -o $(VENV)/rays.csv
+	$(BIN)/npcache time $(VENV)/runs/*-bvh64 --line 64 $(RAYS) -o $(VENV)/rays64.csv
+	$(BIN)/python docs/columns.py docs/data/rays.csv \
+	  run,scene,tree,prefetch,rays,mshrs,cycles_per_ray,speed_up,traffic_ratio,accuracy,spent_port,cycles $(VENV)/rays.csv $(VENV)/rays64.csv
 
 docs-check: $(INSTALLED) ## Fail if a figure in the pages is not what its command prints
 	$(BIN)/cog --check $(PAGES)

@@ -45,7 +45,7 @@ class Clock:
             raise NptraceError(f"hit={self.hit} takes longer than miss={self.miss}: a miss takes at least as long; swap them")
 
     def with_numbers(self, **numbers: int | None) -> "Clock":
-        """Return the machine with other numbers; None leaves one as it is. ``every`` follows ``triangle`` unless it is given."""
+        """Return the machine with other numbers; None leaves one; ``every`` follows ``triangle`` unless it is given."""
         changed = {name: value for name, value in numbers.items() if value is not None and value != getattr(self, name)}
         if "triangle" in changed and numbers.get("every") is None and self.every == self.triangle:
             changed["every"] = changed["triangle"]

@@ -15,7 +15,8 @@ _EXTRA = ("pollution", "requests\n/read", "coverage\n%", "demand\nmiss %", "accu
 NOTES = (
     "speed-up = cycles of none on the first cache / cycles; bound %: of the cycles that 'perfect' saves, for which every read "
     "hits. requests: of the unit, per line that a read looks up; accuracy = (timely + late) / filled; coverage = 1 - demand "
-    "misses / those of none; traffic = bytes from memory / those of none; pollution: demand misses on lines that a prefetch evicted.",
+    "misses / those of none; traffic = bytes from memory / those of none; pollution: demand misses on lines that a prefetch "
+    "evicted.",
 )
 
 

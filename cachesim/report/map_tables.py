@@ -17,8 +17,8 @@ TREES = {"kdtree": "kd-tree, 8-byte nodes", "bvh": "BVH, 32-byte nodes", "bvh64"
 NO_DIFFERENCE = 0.005
 
 NOTES = (
-    "speed-up = cycles without prefetching / with, the same cache and machine: median (least to most) over scenes, leaf sizes, "
-    "triangle tests, miss latencies and caches; pays % and costs %: cells above 1.005 and below 0.995.",
+    "speed-up = cycles without prefetching / with, the same cache and machine: median (least to most) over scenes, leaf "
+    "sizes, triangle tests, miss latencies and caches; pays % and costs %: cells above 1.005 and below 0.995.",
 )
 
 Row = Mapping[str, Any]
@@ -80,7 +80,7 @@ def _where(row: Row) -> str:
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
-    """Draw the median speed-up over scenes and caches, a panel per tree and policy: leaf and triangle test by rays and miss."""
+    """Draw the median speed-up over scenes and caches, a panel per tree and policy: leaf and test by rays and miss."""
     if path.suffix not in (".png", ".svg", ".pdf"):
         raise NptraceError(f"{path}: a plot ends in .png, .svg or .pdf")
     with whole_file(path) as temporary:
@@ -102,8 +102,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
                 for prefetch, panel in zip(policies, panel_row, strict=True):
                     cells = [
                         [
-                            median(speed_ups(rows, tree=tree, prefetch=prefetch, rays=rays, miss=miss, leaf=leaf, triangle=test))
-                            for rays, miss in across
+                            median(speed_ups(rows, tree=tree, prefetch=prefetch, rays=k, miss=miss, leaf=leaf, triangle=test))
+                            for k, miss in across
                         ]
                         for leaf, test in down
                     ]  # fmt: skip

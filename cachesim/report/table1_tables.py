@@ -111,8 +111,8 @@ def verdict(rows: Sequence[Table1Row]) -> list[str]:
             paper, demand = (_fall([row.ours[name] for row in members]) for name in ("miss_ratio", "demand_ratio"))
             time = [100 - 100 / row.timing.speed_up for row in members if row.timing.speed_up]
             found.append(
-                f"{title}: the paper's miss rate changes by {paper} %, because its prefetches count as accesses; demand misses "
-                f"change by {demand} %; the time of a ray by {_range([-value for value in time])} %."
+                f"{title}: the paper's miss rate changes by {paper} %, because its prefetches count as accesses; demand "
+                f"misses change by {demand} %; the time of a ray by {_range([-value for value in time])} %."
             )
     return found
 
