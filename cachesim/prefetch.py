@@ -129,7 +129,6 @@ class UnitReplay:
         self._n_rows = 0
         self._machine = make_machine(self._tree, 1)
         self._unit = make_unit(self._machine)
-        self._rebuild = hooks.compiled_for(self._unit, rebuild)
         self._last = np.array([-1, -1, 0], np.int64)  # kind and node of the last demand row (-1: none yet), rows before it
 
     def scout(self, rows: Callable[[], Iterator[Any]]) -> None:
@@ -156,7 +155,7 @@ class UnitReplay:
         while start < nodes.size:
             out = np.empty(nodes.size - start + nodes.size // 4 + 2 * depth + 2, np.uint32)
             types = np.empty(out.size, np.uint8)
-            start, n, is_bad = self._rebuild(
+            start, n, is_bad = rebuild(
                 nodes, kinds, start, self._unit, self._machine, self._boxes, self._last, (out, types)
             )  # fmt: skip
             if is_bad:

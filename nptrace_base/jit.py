@@ -190,10 +190,22 @@ class _Cache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
-            if self._open():
+            if all(map(_is_ours, data.signature.args)) and self._open():
                 super().save_overload(sig, data)
         except OSError as e:
             compiling.not_kept("kernels", {Path(self._cache_path).parent: e})
+
+
+def _is_ours(type_: Any) -> bool:
+    """Return whether no class of another package is part of a type: a kernel with its methods inside outlives its source."""
+    if isinstance(type_, numba.types.BaseNamedTuple) and _package(type_) not in _PACKAGES:
+        return False
+    return not isinstance(type_, numba.types.BaseTuple) or all(map(_is_ours, type_))  # type: ignore[call-overload]
+
+
+def _package(type_: Any) -> str:
+    """Return the package of a named tuple's class."""
+    return str(type_.instance_class.__module__).partition(".")[0]
 
 
 def kernel(function: Callable[..., Any] | None = None, *, is_kept: bool = True, **options: Any) -> Any:

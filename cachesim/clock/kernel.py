@@ -317,7 +317,6 @@ def _end_ray(unit, machine, clock, slot, now):
 def _use_port(unit, machine, clock, parameters, now):
     """Let the port take what waits: demand reads, then prefetches."""
     numbers, port = clock.numbers[0], machine.port[0]
-    port.blocked = -1
     free = parameters.ports
     while free > 0 and numbers.n_queued > 0:
         slot = clock.queue[numbers.queue_head]
@@ -327,6 +326,7 @@ def _use_port(unit, machine, clock, parameters, now):
             ray.seen = now
             clock.cycles[PORT] += now - ray.since
         if not _read(unit, machine, clock, parameters, slot, line, now):
+            port.blocked = -1
             return
         clock.cycles[MSHR] += now - ray.seen
         ray.seen, ray.since = -1, now
@@ -341,6 +341,7 @@ def _use_port(unit, machine, clock, parameters, now):
         _note(clock, now, ray.data_at - now, slot, LOG_READ, ray.last_node, ray.number * N_CAUSES + ray.data_from)
         _note(clock, ray.data_at, parameters.box, slot, LOG_BOX, ray.last_node, ray.number)
         _after_box(machine, clock, parameters, slot, now, ray.data_at + parameters.box)
+    port.blocked = -1  # not before: what a read drops had waited for the MSHR until now
     while free > 0:
         slot = first_waiting(machine)
         if slot < 0:

@@ -16,7 +16,6 @@ from cachesim.config import CacheConfig
 from cachesim.fast_lru import set_mask
 from cachesim.layout import Layout
 from cachesim.policies import Facts, Policy
-from cachesim.policies.hooks import compiled_for
 from cachesim.policies.machine import UNUSED, Machine, Tree, make_machine
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.result import ratio
@@ -122,7 +121,7 @@ class _Job:
     def __init__(self, prefetch: Prefetch, parameters: Parameters, machine: Machine, clock: ClockState, unit: Any) -> None:
         self.prefetch, self.machine, self.clock, self.unit = prefetch, machine, clock, unit
         self._parameters = parameters
-        self.run = compiled_for(unit, clock_kernel.run)
+        self.run = clock_kernel.run
 
     def step(self, rows: Rows) -> None:
         """Go on as far as these rows allow."""

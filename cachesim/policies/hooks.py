@@ -6,13 +6,12 @@ first argument of each is the ``Machine``: it shows the tree, the stacks, the ca
 """
 
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
 from numba.extending import overload
 
-from nptrace_base.jit import IS_PLAIN, inlined, kernel
+from nptrace_base.jit import IS_PLAIN, inlined
 
 #: Answer of ``request``: nothing.
 NOTHING = -1
@@ -39,25 +38,6 @@ def _hook(default: Callable[..., Any]) -> Callable[..., Any]:
         )
     call.__doc__, call.__name__ = default.__doc__, name
     return call
-
-
-def compiled_for(unit: Any, function: Any) -> Any:
-    """Return the kernel that calls the hooks of a unit.
-
-    What is compiled with a unit of another package is not stored, for its source may change unseen.
-    """
-    return function if IS_PLAIN or _is_ours(unit) else _not_stored(function)
-
-
-@cache
-def _not_stored(function: Any) -> Any:
-    return kernel(is_kept=False, _nrt=False)(function.py_func)
-
-
-def _is_ours(unit: Any) -> bool:
-    """Return whether a unit and the units within it are of this package."""
-    parts = unit if isinstance(unit, tuple) else ()
-    return type(unit).__module__.startswith("cachesim.") and all(_is_ours(part) for part in parts if isinstance(part, tuple))
 
 
 @_hook

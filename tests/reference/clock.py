@@ -211,14 +211,15 @@ class SlowClock:
         return True
 
     def _port(self):
-        self.blocked = None
-        for _ in range(self.machine["ports"]):
-            if self.queue:
-                if not self._demand(self.queue[0]):
-                    self.queue[0].state = "MSHR full"
-                    return
-            elif not self._prefetch():
+        free = self.machine["ports"]
+        while free and self.queue:
+            if not self._demand(self.queue[0]):
+                self.queue[0].state, self.blocked = "MSHR full", None
                 return
+            free -= 1
+        self.blocked = None
+        while free and self._prefetch():
+            free -= 1
 
     def _demand(self, slot):
         line = slot.visit.lines[slot.lines_done]

@@ -1,0 +1,81 @@
+"""Mutations of the clock, the prefetch policies and their replay without a clock."""
+
+# ruff: noqa: E501
+# fmt: off
+
+from tests.mutations.mutation import Mutation
+
+KERNEL, CALENDAR, TIMING, STRETCHES = (f"cachesim/clock/{name}.py" for name in ("kernel", "calendar", "timing", "stretches"))
+MODEL, WORKED, LAWS, EQUATION = (f"tests/cachesim/clock/test_{name}.py" for name in ("clock_model", "worked", "laws", "equation_1"))
+STACK, PUSH, TTP, NEXT, STRIDE, TREELET, ORACLE = (f"tests/cachesim/policies/test_{name}.py" for name in ("stack", "push", "ttp", "next_line", "stride", "treelet", "oracle"))
+UNTIMED, NEEDS, FOREIGN = (f"tests/cachesim/policies/test_{name}.py" for name in ("untimed", "needs_clock", "foreign"))
+
+
+def policy(name):
+    return f"cachesim/policies/{name}.py"
+
+
+MUTATIONS = [
+    # The kernel
+    Mutation("clock: a line arrives a cycle late", KERNEL, "if clock.arrival[line] > now:", "if clock.arrival[line] >= now:", WORKED),
+    Mutation("clock: prefetches go before reads that wait", KERNEL, "while free > 0 and numbers.n_queued > 0:\n        slot = clock.queue", "while free > 0 and numbers.n_queued > 0 and first_waiting(machine) < 0:\n        slot = clock.queue", STACK),
+    Mutation("clock: a read that joins a line waits for a whole miss", KERNEL, "ready = max(hit_at, clock.arrival[line])", "ready = now + parameters.miss", WORKED),
+    Mutation("clock: a hit refreshes nothing", KERNEL, "        else:\n            refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)\n        if state & UNUSED:", "        if state & UNUSED:", MODEL),
+    Mutation("clock: a redundant prefetch refreshes nothing", KERNEL, "    elif state & RESIDENT:\n        refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)\n", "    elif state & RESIDENT:\n", STACK),
+    Mutation("clock: the last MSHR is kept from prefetches", KERNEL, "        numbers.joined += 1\n    else:\n        if numbers.in_flight == parameters.mshrs:\n            return False\n", "        numbers.joined += 1\n    else:\n        if numbers.in_flight == parameters.mshrs - 1:\n            return False\n", STACK),
+    Mutation("clock: memory delivers lines back to back", KERNEL, "numbers.bus_free + parameters.transfer)", "numbers.bus_free)", MODEL),
+    Mutation("clock: the intersection unit is free when the first triangle is done", KERNEL, "np.int64(tree.n_prims[ray.last_node]) * parameters.every)", "np.int64(1) * parameters.every)", MODEL),
+    Mutation("clock: triangles of a leaf are tested at once", KERNEL, "return (n_prims - 1) * parameters.every + parameters.triangle", "return parameters.triangle", WORKED),
+    Mutation("clock: a shadow ray starts with its primary ray", KERNEL, "if other != slot and clock.slots[other].number == primary and", "if other == slot and clock.slots[other].number == primary and", MODEL),
+    Mutation("clock: a shadow ray starts in the cycle after next", KERNEL, "        _schedule(clock, waiter, now, now + 1)\n", "        _schedule(clock, waiter, now, now + 2)\n", MODEL),
+    Mutation("clock: a waiting MSHR counts as the port", KERNEL, "clock.cycles[MSHR] += now - ray.seen", "clock.cycles[PORT] += now - ray.seen", MODEL),
+    Mutation("clock: the cycles before a ray's start are lost", KERNEL, "    clock.cycles[IDLE] += now - ray.since\n    ray.since = now\n    hooks", "    ray.since = now\n    hooks", MODEL),
+    Mutation("clock: a late prefetch saves a whole miss", KERNEL, "numbers.saved += now + parameters.miss - ready", "numbers.saved += parameters.miss", WORKED),
+    Mutation("clock: a used line that is evicted counts as lost", KERNEL, "            status[line] = state & (255 - UNUSED)\n", "", LAWS + " -k issued"),
+    Mutation("clock: every eviction is pollution", KERNEL, "status[victim] = left | PUSHED_OUT if is_prefetched else left", "status[victim] = left | PUSHED_OUT", STACK),
+    Mutation("clock: prefetches go on after the last ray", KERNEL, "        if rows.is_last and numbers.n_ended == n_rays:\n            break\n", "", TREELET),
+    Mutation("clock: entries beyond the hit stay on the stack", KERNEL, "while parameters.skips and machine.stack[slot, height] != node:", "while False:", MODEL + " " + STACK),
+    Mutation("clock: the cache of the bound has misses", KERNEL, "    if parameters.is_perfect:\n        numbers.hits += 1\n", "    if parameters.is_perfect and state:\n        numbers.hits += 1\n", LAWS + " -k perfect"),
+    Mutation("clock: hits take a cycle more", KERNEL, "hit_at = now + parameters.hit\n", "hit_at = now + parameters.hit + 1\n", EQUATION),
+    # The calendar
+    Mutation("calendar: slots beyond 31 are shown as others", CALENDAR, "np.uint64(slot & 63)", "np.uint64(slot & 31)", "tests/cachesim/clock/test_calendar.py"),
+    Mutation("calendar: the rest of today's word is not looked at", CALENDAR, "    if bits:\n        return now + 1 + lowest_bit(bits)\n", "", MODEL),
+    # Timing and stretches
+    Mutation("timing: a leaf that is no node is read", TIMING, "        n_lines[columns[\"axis\"] == 3] = 0\n", "        n_lines[columns[\"axis\"] == 4] = 0\n", NEEDS),
+    Mutation("timing: no scout goes before", TIMING, "**({\"scouted\": scout.unit} if scout else {})", "**({\"scouted\": None} if scout else {})", NEEDS),
+    Mutation("timing: rays are let go before they have ended", TIMING, "return int(min(begun.min(initial=1 << 62), self.clock.numbers[0].next_ray))", "return int(self.clock.numbers[0].next_ray)", "tests/cachesim/clock/test_stretches.py"),
+    Mutation("stretches: a shadow ray follows any ray before it", STRETCHES, "elif primary_of[pixels[ray]] == ray - 1 and ray > 0:", "elif ray > 0:", "tests/cachesim/clock/test_stretches.py"),
+    # Policies
+    Mutation("push: the sibling is requested after it has been popped", policy("push"), "if self.entry[slot] >= machine.sp[slot]:", "if self.entry[slot] > machine.sp[slot]:", PUSH),
+    Mutation("push: what waits stays when the ray ends", policy("push"), "    def on_end(self, machine, slot):\n        if self.entry[slot] >= 0:", "    def on_end(self, machine, slot):\n        if self.entry[slot] > 99:", PUSH),
+    Mutation("push: a leaf that is no node is requested", policy("push"), "        if machine.tree.n_lines[machine.stack[slot, machine.sp[slot] - 1]] > 0:\n", "        if True:\n", UNTIMED),
+    Mutation("ttp: the second pop requests three", policy("ttp"), "_FIRST, _SECOND, _MORE = 1, 2, 16", "_FIRST, _SECOND, _MORE = 1, 3, 16", UNTIMED),
+    Mutation("ttp: a push does not reset the count of pops", policy("ttp"), "        self.pointer[slot] = machine.sp[slot]\n        self.pops[slot] = 0\n", "        self.pointer[slot] = machine.sp[slot]\n", UNTIMED),
+    Mutation("ttp: a request stays when its node is demanded", policy("ttp"), "if node == demanded:", "if node < 0:", TTP),
+    Mutation("ttp: entries are requested twice", policy("ttp"), "            self.pointer[slot] -= 1\n            left -= 1\n            node = machine.stack[slot, self.pointer[slot]]\n", "            left -= 1\n            node = machine.stack[slot, self.pointer[slot] - 1]\n", UNTIMED),
+    Mutation("next line: tagged as miss", policy("next_line"), "(self.trigger == TAGGED and outcome != HIT)", "(self.trigger == TAGGED and outcome == MISS)", NEXT),
+    Mutation("next line: the distance is one", policy("next_line"), "replace(self, machine, slot, line + self.distance)", "replace(self, machine, slot, line + 1)", NEXT),
+    Mutation("stride: lines before the tree's first are offered", policy("next_line"), "if 0 <= line < machine.status.size:", "if line < machine.status.size:", STRIDE),
+    Mutation("stride: one stride confirms itself", policy("stride"), "is_own = stride == self.stride[slot]", "is_own = stride != 0", STRIDE),
+    Mutation("stride: no stride of another ray", policy("stride"), "if is_own or stride == self.shared[0]:", "if is_own:", STRIDE),
+    Mutation("stride: the stride of the ray before", policy("stride"), "        self.last[slot] = -1\n", "", STRIDE),
+    Mutation("treelet: a line is of the node that begins in it", policy("treelet"), "np.minimum.at(lowest, tree.first_line[touching].astype(np.int64) + piece, touching)", "lowest[tree.first_line[touching[::-1]].astype(np.int64) + piece] = touching[::-1]", TREELET),
+    Mutation("treelet: a vote at every read", policy("treelet"), "if now - self.vote[0] < self.every:", "if now < self.every:", TREELET),
+    Mutation("treelet: rays that have ended vote", policy("treelet"), "            self.votes[self.current[slot]] -= 1\n            self.current[slot] = -1\n", "            self.current[slot] = -1\n", TREELET),
+    Mutation("treelet: the share of all slots", policy("treelet"), "self.share * n_rays:", "self.share * self.current.size:", TREELET),
+    Mutation("treelet: the last winner may win again", policy("treelet"), "if winner == self.vote[1] or 100", "if 100", TREELET),
+    Mutation("treelet: filled depth-first", policy("treelet"), "            node = queue[head]\n            head += 1\n", "            tail -= 1\n            node = queue[tail]\n", TREELET),
+    Mutation("oracle: a use is credited when the last line is asked for", policy("oracle"), "line = np.int64(machine.tree.first_line[node]) + machine.lines_asked[slot]", "line = np.int64(machine.tree.first_line[node])", ORACLE),
+    Mutation("oracle: every read is a use", policy("oracle"), "if outcome == FIRST_USE:", "if outcome != 2:", ORACLE),
+    Mutation("live: what is popped unread is wanted", policy("stack"), "        self.used[machine.pushed_at[slot, machine.sp[slot]]] = 1\n", "        self.used[:] = 1\n", UNTIMED),
+    Mutation("stack: the level is that of the leaf above", policy("stack"), "machine.tree.level[node] > unit.levels", "machine.tree.level[node] >= unit.levels", UNTIMED),
+    Mutation("stack: what is given up is not counted", policy("stack"), "            drop(machine, slot, n_candidates(self, machine, slot))\n", "", STACK),
+    Mutation("candidates: no time for one", policy("machine"), "elif machine.last_issue[slot] == port.now - 1:", "elif machine.last_issue[slot] == port.now:", STACK),
+    Mutation("ring: the slot that waits shortest goes first", policy("machine"), "    first = machine.waiting[0, ring]\n", "    first = machine.waiting[1, ring]\n", STACK),
+    Mutation("ring: lines asked of a node given up count for the next", policy("machine"), "    machine.lines_asked[slot] = 0\n", "", PUSH),
+    # Without a clock, and policies of others
+    Mutation("replay: a policy that needs the clock is replayed", "cachesim/prefetch.py", "if prefetch.policy.needs_clock:", "if prefetch.policy.needs_clock and prefetch.kind != \"treelet\":", NEEDS),
+    Mutation("replay: a scout that is left out", "cachesim/prefetch.py", "unit = scout(self._machine, self._facts, **prefetch.options) if scout else None", "unit = None", UNTIMED),
+    Mutation("kernels: those of another package's unit are stored", "nptrace_base/jit.py", "if all(map(_is_ours, data.signature.args)) and self._open():", "if self._open():", FOREIGN),
+    Mutation("kernels: policies do not count as imported", "nptrace_base/sources.py", "return tuple(file for name in _names(path) for file in _files(name)) + tuple(listed)", "return tuple(file for name in _names(path) for file in _files(name))", "tests/nptrace_base/test_kernel_cache.py -k listing"),
+]
