@@ -158,6 +158,10 @@ class UnitReplay:
             start, n, is_bad = rebuild(
                 nodes, kinds, start, self._unit, self._machine, self._boxes, self._last, (out, types)
             )  # fmt: skip
+            if n < 0:
+                raise NptraceError(
+                    f"{self._prefetch} requests more than {2 * depth} nodes at one read; it may request as many at most"
+                )
             if is_bad:
                 raise NptraceError(
                     f"{self._where}, column 'node', row {self._n_rows + start}: a traversal cannot read node {nodes[start]} "
@@ -226,9 +230,11 @@ def rebuild(nodes, kinds, start, unit, machine, boxes, last, events):
             out[n], types[n] = node, READ
             n += 1
         n = _requests(unit, machine, out, types, n)
-        if kind == KIND_LEAF:
+        if kind == KIND_LEAF and n >= 0:
             hooks.on_leaf(unit, machine, slot, node)
             n = _requests(unit, machine, out, types, n)
+        if n < 0:
+            break
         last_kind, last_node = np.int64(kind), node
         n_rows += 1
         row += 1
@@ -238,11 +244,13 @@ def rebuild(nodes, kinds, start, unit, machine, boxes, last, events):
 
 @kernel(_nrt=False, forceinline=True)
 def _requests(unit, machine, out, types, n):
-    """Write all that the unit wants to request now; return the number of events."""
+    """Write all that the unit wants to request now; return the number of events, -1 if there is no room for them."""
     while first_waiting(machine) >= 0:
         node = hooks.request(unit, machine, np.int64(0))
         if node < 0:
             stop_waiting(machine, np.int64(0))
+        elif n == out.size:
+            return np.int64(-1)
         else:
             out[n], types[n] = node, REQUEST
             n += 1

@@ -122,9 +122,10 @@ class DinSource:
     def events(self, prefetch: Prefetch) -> Iterator[tuple[tuple[np.ndarray, np.ndarray | int], np.ndarray]]:
         """Yield ((address, size), access type) batches."""
         if prefetch.has_unit:
+            way_out = "time" if prefetch.policy.needs_clock else "replay"
             raise NptraceError(
                 f"{self.trace.stream.where} has addresses, not pushes, so no stack can be rebuilt for {prefetch}; "
-                "use traced, none or next-line, or replay the run itself"
+                f"use traced, none or next-line, or {way_out} the run itself"
             )
         for address, size, access_types in self.trace.batches():
             if prefetch.kind != "traced" and (access_types >= PREFETCH).any():

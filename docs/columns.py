@@ -1,4 +1,4 @@
-"""``python docs/columns.py OUT COLUMN,COLUMN... IN.csv...``: some columns of several CSV files, as one file; floats to 5 digits."""
+"""``python docs/columns.py OUT COLUMN,COLUMN... IN.csv...``: some columns of several CSV files in one; floats to 5 digits."""
 
 import csv
 import sys

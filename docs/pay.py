@@ -33,8 +33,10 @@ def answer(cog) -> None:
         unit, push = (_range(_speed_ups(rays, tree=tree, prefetch=name, rays="1")) for name in (UNIT, PUSH))
         many = _range(_speed_ups(rays, tree=tree, prefetch=PUSH, rays="64"))
         cheap = [_without_unit(compared, run, 1.1) for run in _runs(compared, tree)]
-        text = f"- **{title}.** One ray in flight: the paper's unit gives {unit}x, asking at the push {push}x; with 64 rays in flight the "
-        text += f"push gives {many}x. "
+        text = (
+            f"- **{title}.** One ray in flight: the paper's unit gives {unit}x, asking at the push {push}x; with 64 rays in "
+        )
+        text += f"flight the push gives {many}x. "
         found = [row for row in cheap if row]
         if found:
             gains = _range([float(row["speed_up"]) for row in found])
@@ -50,7 +52,7 @@ def _without_unit(rows: list[dict[str, str]], run: str, most: float) -> dict[str
     """Return the fastest baseline without prefetches whose traffic is at most ``most`` times that of the reference."""
     found = [
         row for row in rows
-        if row["run"] == run and row["group"] == "baseline" and row["prefetch"] == "none" and float(row["traffic_ratio"]) <= most
+        if (row["run"], row["group"], row["prefetch"]) == (run, "baseline", "none") and float(row["traffic_ratio"]) <= most
     ]  # fmt: skip
     return max(found, key=lambda row: float(row["speed_up"]), default=None)
 
@@ -92,12 +94,10 @@ def baselines(cog) -> None:
             best = _without_unit(rows, run, most)
             if best is None:
                 continue
-            added = [
-                _speed_ups(rows, run=run, group="baseline", line_bytes=best["line_bytes"], layout=best["layout"], prefetch=name)[0]
-                for name in (UNIT, PUSH)
-            ]  # fmt: skip
+            same = {"run": run, "group": "baseline", "line_bytes": best["line_bytes"], "layout": best["layout"]}
+            added = [_speed_ups(rows, **same, prefetch=name)[0] for name in (UNIT, PUSH)]
             limit = f"{most}" if most < 9 else "any"
-            cells = [f"{float(best['speed_up']):.2f}", f"{float(best['traffic_ratio']):.2f}", *(f"{value:.2f}" for value in added)]
+            cells = [f"{value:.2f}" for value in (float(best["speed_up"]), float(best["traffic_ratio"]), *added)]
             cog.outl(f"| {run} | {limit} | {best['line_bytes']} B, `{best['layout']}` | " + " | ".join(cells) + " |")
 
 
@@ -134,4 +134,5 @@ def replication(cog) -> None:
             ]  # fmt: skip
             mean = sum(values) / len(values)
             plural = "s" * (rays != 1)
-            cog.outl(f"- {TREES[tree]}, {rays} ray{plural} in flight: mean {mean:.3f}x, best {max(values):.3f}x, least {min(values):.3f}x")
+            figures = f"mean {mean:.3f}x, best {max(values):.3f}x, least {min(values):.3f}x"
+            cog.outl(f"- {TREES[tree]}, {rays} ray{plural} in flight: {figures}")

@@ -13,7 +13,10 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined
 
 FORM = "stack[:budget=K|tris*K|unlimited][:once][:empty][:level=L][:live]"
-HELP = "the paper's unit: at a leaf the stack from the top down; live: only entries that the ray will read"
+HELP = (
+    "the paper's unit: at a leaf the stack from the top down; empty (without a clock): leaves without triangles too; "
+    "live: only entries that the ray will read"
+)
 
 UNLIMITED = np.iinfo(np.int64).max
 

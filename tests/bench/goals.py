@@ -45,6 +45,8 @@ GOALS |= {
     "pycachesim / 2-way": ("one 2-way replay from memory, against pycachesim", ">= 8"),
     "1-way, ns per access": ("one direct-mapped replay from memory, ns per access", ""),
     "2-way, ns per access": ("one 2-way replay from memory, ns per access", "<= 3"),
+    "clock, 1 rays, ns per access": ("the clock, one ray in flight, no prefetches, CPU ns per access", "<= 15"),
+    "clock, 64 rays, ns per access": ("the clock, 64 rays in flight, no prefetches, CPU ns per access", "<= 40"),
     "128 caches in one pass / one 2-way": ("all of 2^4..2^11 sets x 1..16 ways in one pass, over one 2-way replay", "<= 15"),
     "stack distances / one 2-way": ("exact stack distances, over one 2-way replay", "<= 6"),
     "replay from Parquet / 2-way from memory": ("one replay straight from Parquet, over one from memory", "<= 5"),

@@ -10,9 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from cachesim.all_associativity import SetCounts
+from cachesim.clock.parameters import PRESETS
+from cachesim.clock.stretches import Stretches
+from cachesim.clock.timing import Workshop
 from cachesim.config import CacheConfig
 from cachesim.fast_lru import direct_mapped, empty_tags, set_mask, two_way
+from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
+from cachesim.source import RunSource
 from cachesim.stack_distance import StackDistances
 from tests.bench.measure import ratio, times
 from traces.din import export_din
@@ -61,8 +66,28 @@ def bench_run(run: Run, repeat: int) -> dict[str, float]:
         "replay of 4 caches, unfiltered / filtered": ratio(taken["four, unfiltered"], taken["four"]),
     }
     out |= bench_sweep(lines, labels, taken["two ways"], repeat)
+    out |= {f"clock, {rays} rays, ns per access": clock_ns(run, rays, repeat) for rays in (1, 64)}
     out |= bench_dinero(run, two / n)
     return out
+
+
+def clock_ns(run: Run, rays: int, repeat: int) -> float:
+    """Return what a row of the demand stream costs the clock without prefetches, in ns of CPU time, the rows in memory."""
+    source, clock = RunSource(run), PRESETS["paper"].clock.with_numbers(rays=rays, mshrs=64)
+    workshop, none, found = Workshop(source, threads=1), parse_prefetch("none"), []
+    for _ in range(repeat):
+        job, stretches = workshop.job(CacheConfig(8192, 2), clock, none), Stretches(source)
+        assert job is not None
+        seconds, n_rows = 0.0, 0
+        for rows in stretches:
+            n_rows = max(n_rows, rows.first_row + rows.nodes.size)
+            began = time.process_time()
+            job.step(rows)
+            seconds += time.process_time() - began
+            ray = min(job.first_needed, rows.first_ray + rows.waits_for.size)
+            stretches.keep(int(rows.first[ray - rows.first_ray]), ray)
+        found.append(seconds / n_rows * 1e9)
+    return sorted(found)[repeat // 2]
 
 
 def bench_sweep(lines: np.ndarray, labels: np.ndarray, two_ways: list[float], repeat: int) -> dict[str, float]:

@@ -12,7 +12,7 @@ MUTATIONS = [
     # --- values ---
     Mutation("values: nulls are not seen", CH, "    if column.null_count:", "    if column.null_count < 0:", VALUES),
     Mutation("values: any kind will do", CH, "kinds[i] > PREFETCH or not (allowed[node] >> kinds[i]) & np.uint8(1)", "not (allowed[node] >> (kinds[i] & 3)) & np.uint8(1)", VALUES),
-    Mutation("values: a node one beyond the tree's", CH, "if node >= n or kinds", "if node > n or kinds", "tests/traces/test_run_values.py tests/test_fuzz.py"),
+    Mutation("values: a node one beyond the tree's", CH, "if node >= n or kinds", "if node > n or kinds", "tests/traces/test_access_check.py"),
     Mutation("values: nodes with children may be entered as leaves", "traces/node_formats.py", "return READ, PUSH, PREFETCH", "return READ, PUSH, LEAF, PREFETCH", VALUES),
     Mutation("values: a kd-tree's leaf may be missed", "traces/node_formats.py", "(READ,) if self.boxes == OWN_BOX else ()", "(READ,) if self.boxes <= OWN_BOX else ()", VALUES),
     Mutation("values: a node may be its own parent", CH, "np.uint64(up) >= i", "np.uint64(up) > i", VALUES),

@@ -7,10 +7,19 @@ import pytest
 
 from traces.format import RunError
 from traces.node_formats import NODE_FORMATS
-from traces.validation import check_accesses, kinds_allowed
+from traces.validation import check_accesses, first_bad_access, kinds_allowed
 
 AXES = np.array([0, 3, 2, 3, 3], np.uint8)
 KINDS_OF = {"kdtree": ({0, 1, 3}, {2, 3}), "bvh": ({0, 1, 3}, {0, 2, 3}), "bvh64": ({0, 1, 3}, {2})}
+
+
+def test_the_byte_behind_the_tree_is_never_looked_at():
+    """It would allow everything here."""
+    allowed = np.full(AXES.size + 1, 255, np.uint8)[:-1]
+    nodes, kinds = np.array([0, AXES.size], np.uint32), np.zeros(2, np.uint8)
+    assert first_bad_access(nodes, kinds, allowed) == 1
+    with pytest.raises(RunError, match=f"a, column 'node', row 1: {AXES.size} breaks"):
+        check_accesses(nodes, kinds, allowed, Path("a"), 0)
 
 
 @pytest.mark.parametrize("tree", KINDS_OF)
