@@ -109,7 +109,8 @@ def plot(rows: Sequence[Compared], path: Path) -> None:
             figure = Figure(figsize=(4.6 * len(runs), 0.8 + 0.19 * n_bars), layout="constrained")
             panels = figure.subplots(1, len(runs), squeeze=False)[0]
             for panel, members in zip(panels, runs, strict=True):
-                shown = sorted(members, key=lambda row: row.timing.cycles, reverse=True)
+                shown = [row for row in members if row.timing.prefetch != BOUND]  # its bar would dwarf the others
+                shown.sort(key=lambda row: row.timing.cycles, reverse=True)
                 texts = [
                     row.timing.prefetch if row.group == "policy"
                     else f"{row.timing.config.line_bytes} B, {row.timing.layout}, {row.timing.prefetch}"
@@ -120,7 +121,8 @@ def plot(rows: Sequence[Compared], path: Path) -> None:
                 panel.bar_label(bars, fmt="%.2f", padding=2, fontsize=6)
                 panel.set_yticks(range(len(shown)), texts, fontsize=6)
                 panel.axvline(1, color="black", linewidth=0.8)
-                panel.set_title(names[members[0].timing.identity], fontsize=9)
+                bound = members[0].reference.cycles / members[0].bound.cycles
+                panel.set_title(f"{names[members[0].timing.identity]} (bound {bound:.2f})", fontsize=9)
                 panel.margins(y=0.01)
             figure.supxlabel("speed-up over no prefetching; blue: policies, yellow: layouts and line sizes", fontsize=8)
             stamps: dict[str, dict[str, None]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}

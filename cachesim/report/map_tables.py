@@ -92,8 +92,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
         with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 8}):
             trees, policies = _distinct(rows, "tree"), _distinct(rows, "prefetch")
-            across = [(rays, miss) for rays in _distinct(rows, "rays") for miss in _distinct(rows, "miss")]
-            down = [(leaf, triangle) for leaf in _distinct(rows, "leaf") for triangle in _distinct(rows, "triangle")]
+            across = sorted({(row["rays"], row["miss"]) for row in rows})
+            down = sorted({(row["leaf"], row["triangle"]) for row in rows})
             figure = Figure(figsize=(1.0 + 4.2 * len(policies), 0.8 + 2.6 * len(trees)), layout="constrained")
             panels = figure.subplots(len(trees), len(policies), squeeze=False, sharex=True, sharey=True)
             norm = TwoSlopeNorm(1.0, 0.9, 1.7)
