@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()
 def compare(
-    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool, threads: int,
-    picture: Path | None, output: Output,
+    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool,
+    threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Compare all prefetch policies on one cache and machine, in cycles, with their bound and with what needs no unit.
 
@@ -44,6 +44,7 @@ def compare(
     """
     from cachesim.clock.compare import compare as compare_run
     from cachesim.report import compare_tables
+    from cachesim.report.pictures import check_plot
     from traces.reader import open_run
 
     if len(machines.configs) * len(machines.clocks) > 1:
@@ -51,6 +52,8 @@ def compare(
             f"compare takes one cache and one machine, and the options ask for {len(machines.configs)} and "
             f"{len(machines.clocks)}; use npcache time for lists"
         )
+    if picture is not None:
+        check_plot(picture)
     names = [] if prefetch == ["all"] else prefetch
     rows: list[Compared] = []
     paths, began = chosen_sources(sources, folder), time.perf_counter()

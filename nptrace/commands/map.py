@@ -26,8 +26,8 @@ from nptrace.scene_options import load_scenes, scene_options
 @scene_options
 @results_options()
 def map_(
-    names: tuple[str, ...], pixels: str, quick: bool, out: Path, threads: int, picture: Path | None, strict: bool, offline: bool,
-    output: Output,
+    names: tuple[str, ...], pixels: str, quick: bool, out: Path, threads: int, picture: Path | None, strict: bool,
+    offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Map where prefetching pays: leaf size x triangle test x miss latency x rays in flight x cache, for each tree.
 
@@ -38,11 +38,14 @@ def map_(
     nptrace map bunny conference sibenik sponza -o map.parquet --plot map.png
     """
     from cachesim.report import map_tables
+    from cachesim.report.pictures import check_plot
     from nptrace.break_even import QUICK, Grid, break_even
     from rtrace.camera import parse_size
     from rtrace.render import Shooting
 
     grid, began = QUICK if quick else Grid(), time.perf_counter()
+    if picture is not None:
+        check_plot(picture)
     scenes = load_scenes(names, strict, offline)
     with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
 
