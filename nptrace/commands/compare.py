@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @traces_option()
 @machine_options
 @list_option(
-    "--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all of them."
+    "--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all: the usual ones."
 )
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @click.option(
@@ -43,6 +43,7 @@ def compare(
     npcache compare traces/bunny-bvh --size 16K --assoc 2 --rays 4 --plot compare.png
     """
     from cachesim.clock.compare import compare as compare_run
+    from cachesim.clock.compare import usual_policies
     from cachesim.report import compare_tables
     from cachesim.report.pictures import check_plot
     from traces.reader import open_run
@@ -54,7 +55,7 @@ def compare(
         )
     if picture is not None:
         check_plot(picture)
-    names = [] if prefetch == ["all"] else prefetch
+    names = [name for text in prefetch for name in (usual_policies() if text == "all" else [text])]
     rows: list[Compared] = []
     paths, began = chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths)) as bar:

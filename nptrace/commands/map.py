@@ -56,5 +56,6 @@ def map_(
         rows = break_even(scenes, Shooting(*parse_size(pixels)), grid, out, threads=threads, on_run=on_run)
     if picture is not None:
         map_tables.plot(rows, picture)
-    output.write(rows, lambda: map_tables.tables(rows))
+    if picture is None or output.is_asked_for:
+        output.write(rows, lambda: map_tables.tables(rows))
     done(f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}", began)

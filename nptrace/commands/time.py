@@ -81,7 +81,9 @@ def time_(
 
                     bar.phase("timeline")
                     write_timeline(source, machines.configs[0], machines.clocks[0], policies[0], timeline)
-    if by is None:
+    if str(timeline) == "-" and not output.is_asked_for:
+        pass  # stdout has the timeline
+    elif by is None:
         output.write([result.to_dict() for result in results], lambda: timing_tables.tables(results))
     else:
         output.write(tally_tables.records(results, by), lambda: tally_tables.tables(results, by))
