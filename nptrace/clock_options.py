@@ -24,7 +24,7 @@ class Machines:
 
 def parse_number(text: str) -> int:
     """Return a whole number."""
-    if not text.strip().isdigit():
+    if not text.strip().isdecimal() or not text.isascii():
         raise NptraceError(f"{text!r} is not a whole number; write e.g. 100, or a list such as 20,100,300")
     return int(text)
 

@@ -13,22 +13,30 @@ from pathlib import Path
 
 import numpy as np
 
+from cachesim.clock.compare import usual_policies
+from cachesim.clock.parameters import PRESETS
+from cachesim.clock.stretches import Stretches
+from cachesim.clock.timing import Workshop, time_run
 from cachesim.config import CacheConfig
-from cachesim.layout import addresses
+from cachesim.layout import addresses, parse_layout
+from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.replay import replay
 from cachesim.sampling.estimate import estimate
 from cachesim.sampling.target import Target
+from cachesim.source import RunSource
 from cachesim.sweep import sweep
 from nptrace_base import compiling
 from rtrace.checks.embree import compare
 from rtrace.ray_source import RayUnits
-from rtrace.render import Shooting, render
+from rtrace.render import Shooting, footer_of, render
 from rtrace.scenes.scene import Scene
 from rtrace.scenes.stand_ins import stand_in
 from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, in_format, node_table
 from rtrace.trees.tree_cache import TREES, build_tree
 from traces.din import export_din
-from traces.reader import open_run
+from traces.format import BOX, LEAF, PUSH
+from traces.reader import Run, open_run
+from traces.writer import RunWriter
 
 #: What each process runs, with the number of its part.
 PROGRAM = "from nptrace.precompile import compile_part; compile_part"
@@ -124,8 +132,12 @@ def compile_part(part: int) -> None:
     print(json.dumps([compiling.n_compiled, compiling.lost]))
 
 
+#: The clock is compiled for each policy's unit: those of these share units.
+OF_THE_STACK = ("none", "perfect", "stack", "oracle")
+
+
 def building_and_sweeping() -> None:
-    """Run the kernels of the builders, of layouts and of sweeps."""
+    """Run the kernels of the builders, of layouts, of sweeps, and of the clock with half of the policies."""
     scene = stand_in("blob", detail=0.1)
     for kind in TREES:
         tree = build_tree(scene.triangles, kind)
@@ -137,6 +149,30 @@ def building_and_sweeping() -> None:
         trace = Path(name) / "reads.din"
         trace.write_text("0 1000\n0 1020\n")
         sweep(trace, [CacheConfig(512, ways, 16) for ways in (1, 2, 32)], threads=1)
+        run = _smallest_run(scene, Path(name) / "run")
+        workshop, clock = Workshop(RunSource(run, parse_layout("stored")), 1), PRESETS["paper"].clock
+        for prefetch in _timed(of_the_stack=False):
+            job = workshop.job(CacheConfig(512, 2, 32), clock, prefetch)
+            assert job is not None
+            workshop.run_all([job], Stretches(RunSource(run, parse_layout("stored"))))
+
+
+def _timed(*, of_the_stack: bool) -> list[Prefetch]:
+    """Return half of the policies that are timed."""
+    found = map(parse_prefetch, usual_policies())
+    return [prefetch for prefetch in found if (prefetch.kind in OF_THE_STACK) == of_the_stack]
+
+
+def _smallest_run(scene: Scene, path: Path) -> Run:
+    """Write a run of one ray by hand, so that no kernel that traces has to be compiled for it."""
+    tree = _smallest_tree(scene, "bvh")
+    with RunWriter(path, footer_of(scene, tree, Shooting(1, 1), ""), BOX) as run:
+        run.append("nodes", lambda: node_table(tree))
+        run.append("accesses", {"ray": np.zeros(3), "node": np.arange(3), "kind": np.array([PUSH, LEAF, LEAF])})
+        one = {"ray": 0, "x": 0, "y": 0, "type": 0, "first": 0, "count": 3, "prim": -1, "t": np.inf}
+        run.append("rays", {name: np.array([value]) for name, value in one.items()})
+        run.image(b"")
+    return open_run(path)
 
 
 def tracing_and_replaying() -> None:
@@ -157,6 +193,7 @@ def tracing_and_replaying() -> None:
                 replay(run, plain + two_lines, prefetch=prefetch, threads=1)
                 replay(run, plain, prefetch=prefetch, is_filtered=False, three_c=True, threads=1)
             replay(run, known, threads=1)
+            time_run(run, [CacheConfig(512, 2, 16)], [PRESETS["paper"].clock], _timed(of_the_stack=True), threads=1)
             sweep(run, [CacheConfig(64 * 16, 32, 16)], prefetch="stack", threads=1)
             for form in ("text", "binary"):
                 export_din(run, path.with_suffix(".din"), fmt=form)

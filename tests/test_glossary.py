@@ -9,10 +9,12 @@ from click.testing import CliRunner
 
 import cli
 import nptrace_base.tables
+from nptrace.commands.time import BY
 from rtrace.checks import hard_cases
 
 GLOSSARY = (Path(cli.__file__).resolve().parent / "docs" / "glossary.md").read_text(encoding="utf-8")
 SMALL = ["--pixels", "16x16", "--offline"]
+CLOCKED = ["--size", "1K", "--assoc", "1", "--prefetch", "stack,push"]
 CACHES = ["--size", "1K,2K", "--assoc", "1,2"]
 
 
@@ -39,6 +41,10 @@ def headings_and_keys(tmp_path_factory):
                 (cli.nptrace, "info", "--traces", traces),
                 (cli.nptrace, "check", "blob", *SMALL, "--random", 50), (cli.npcache, "table1", "--traces", traces),
                 (cli.npcache, "replay", "--traces", traces, *CACHES, "--3c"),
+                (cli.npcache, "time", traces / "bunny-standin-bvh-16x16", *CLOCKED),
+                *((cli.npcache, "time", traces / "bunny-standin-bvh-16x16", *CLOCKED, "--by", by) for by in BY),
+                (cli.npcache, "compare", traces / "bunny-standin-bvh-16x16", *CLOCKED),
+                (cli.nptrace, "map", "blob", "--quick", *SMALL, "--out", traces / "map"),
                 (cli.npcache, "estimate", "blob", *CACHES, "--pixels", "16x16", "--offline"),
             ):  # fmt: skip
                 printed = run(program, *args, *form)

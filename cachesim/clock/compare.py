@@ -12,6 +12,7 @@ from cachesim.clock.timing import Timing, time_run
 from cachesim.config import CacheConfig
 from cachesim.layout import Layout, parse_layout
 from cachesim.policies import policies
+from cachesim.prefetch import parse_prefetch
 from cachesim.result import ratio
 from cachesim.source import RunSource
 from traces.reader import Run
@@ -130,20 +131,21 @@ def compare(
     Parameters
     ----------
     prefetches : sequence of str
-        Policies; ``usual_policies`` when empty.
+        Policies; ``usual_policies`` when empty. The reference and the bound are always timed.
     progress : callable, optional
         Called with the number of rows done after each batch.
     """
     layout = parse_layout(layout) if isinstance(layout, str) else layout
-    names = [name for name in (*prefetches, BOUND) if name != REFERENCE] if prefetches else usual_policies()
+    asked = [parse_prefetch(name) for name in prefetches or usual_policies()]
+    found = {str(prefetch): prefetch for prefetch in asked if prefetch.kind not in (REFERENCE, BOUND)}
     source = RunSource(run, layout)
-    timings = time_run(source, [config], [clock], [REFERENCE, *dict.fromkeys(names)], threads=threads, progress=progress)
+    timings = time_run(source, [config], [clock], [REFERENCE, *found.values(), BOUND], threads=threads, progress=progress)
     reference, bound = timings[0], timings[-1]
     rows = [Compared(each, "policy", reference, bound) for each in timings]
     by_layout: dict[Layout, list[CacheConfig]] = {}
     for cache, other in baselines(run, config, layout) if has_baselines else ():
         by_layout.setdefault(other, []).append(cache)
     for other, caches in by_layout.items():
-        found = time_run(RunSource(run, other), caches, [clock], ON_BASELINES, threads=threads, progress=progress)
-        rows += [Compared(each, "baseline", reference, bound) for each in found]
+        others = time_run(RunSource(run, other), caches, [clock], ON_BASELINES, threads=threads, progress=progress)
+        rows += [Compared(each, "baseline", reference, bound) for each in others]
     return rows

@@ -215,7 +215,10 @@ def _check(configs: Sequence[CacheConfig], clocks: Sequence[Clock], n_rays: int)
             raise NptraceError("opt has to know the order of all accesses, which the clock decides; use lru, fifo or random")
     for clock in clocks:
         if clock.rays > max(n_rays, 1):
-            raise NptraceError(f"rays={clock.rays} cannot be in flight: the run has {n_rays} rays that read nodes; use fewer")
+            raise NptraceError(
+                f"rays={clock.rays} cannot be in flight: the run has {n_rays} rays that read nodes; use fewer, or trace a "
+                "larger picture"
+            )
 
 
 class Workshop:

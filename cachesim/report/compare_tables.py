@@ -5,8 +5,8 @@ from itertools import groupby
 from pathlib import Path
 
 from cachesim.clock.compare import BOUND, REFERENCE, Compared
+from cachesim.report.pictures import PICTURES, check_plot, ending_of
 from nptrace_base.atomic import whole_file
-from nptrace_base.errors import NptraceError
 from nptrace_base.tables import Table, number, percent
 from traces.identity import labels
 
@@ -34,7 +34,7 @@ def tables(rows: Sequence[Compared]) -> tuple[list[Table], list[str]]:
 
 
 def _policies(title: str, rows: Sequence[Compared]) -> Table:
-    header = ["prefetch", "cycles\n/ray", "speed-\nup", "bound\n%", "traffic", "accuracy\n%", "coverage\n%", "demand\nmiss %"]
+    header = ["prefetch", "cycles\n/ray", "speed-up", "bound\n%", "traffic", "accuracy\n%", "coverage\n%", "demand\nmiss %"]
     header += ["requests\n/read", "pollution"]
     lines = []
     for row in sorted((row for row in rows if row.group == "policy"), key=lambda row: row.timing.cycles):
@@ -54,7 +54,7 @@ def _baselines(title: str, rows: Sequence[Compared]) -> Table:
     units = list(
         dict.fromkeys(row.timing.prefetch for row in rows if row.group == "baseline" and row.timing.prefetch != REFERENCE)
     )
-    header = ["cache", "layout", "cycles\n/ray", "speed-\nup", "bound\n%", "traffic", "demand\nmiss %"]
+    header = ["cache", "layout", "cycles\n/ray", "speed-up", "bound\n%", "traffic", "demand\nmiss %"]
     header += [f"and\n{unit.removesuffix(':unlimited')}" for unit in units]
     lines = []
     plain = [row for row in rows if row.group == "baseline" and row.timing.prefetch == REFERENCE]
@@ -94,14 +94,12 @@ def _verdict(name: str, rows: Sequence[Compared]) -> list[str]:
 
 def plot(rows: Sequence[Compared], path: Path) -> None:
     """Draw the speed-ups as bars, a panel per run, as a PNG, SVG or PDF file by the ending of its name."""
-    if path.suffix not in (".png", ".svg", ".pdf"):
-        raise NptraceError(f"{path}: a plot ends in .png, .svg or .pdf")
+    check_plot(path)
+    ending = ending_of(path, PICTURES)
     with whole_file(path) as temporary:
-        try:
-            from matplotlib import rc_context
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
+        from matplotlib import rc_context
+        from matplotlib.figure import Figure
+
         with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 8}):
             names = labels(row.timing.identity for row in rows)
             runs = [list(members) for _, members in groupby(rows, key=lambda row: row.timing.identity)]
@@ -126,4 +124,4 @@ def plot(rows: Sequence[Compared], path: Path) -> None:
                 panel.margins(y=0.01)
             figure.supxlabel("speed-up over no prefetching; blue: policies, yellow: layouts and line sizes", fontsize=8)
             stamps: dict[str, dict[str, None]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-            figure.savefig(temporary, dpi=200, metadata=stamps.get(path.suffix), format=path.suffix[1:])
+            figure.savefig(temporary, dpi=200, metadata=stamps.get(ending), format=ending[1:])

@@ -5,8 +5,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from cachesim.report.pictures import PICTURES, check_plot, ending_of
 from nptrace_base.atomic import whole_file
-from nptrace_base.errors import NptraceError
 from nptrace_base.tables import Table, number
 
 #: What a policy is called in a sentence.
@@ -81,15 +81,13 @@ def _where(row: Row) -> str:
 
 def plot(rows: Sequence[Row], path: Path) -> None:
     """Draw the median speed-up over scenes and caches, a panel per tree and policy: leaf and test by rays and miss."""
-    if path.suffix not in (".png", ".svg", ".pdf"):
-        raise NptraceError(f"{path}: a plot ends in .png, .svg or .pdf")
+    check_plot(path)
+    ending = ending_of(path, PICTURES)
     with whole_file(path) as temporary:
-        try:
-            from matplotlib import rc_context
-            from matplotlib.colors import TwoSlopeNorm
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise NptraceError("a plot needs matplotlib, which is not installed; run: pip install matplotlib") from None
+        from matplotlib import rc_context
+        from matplotlib.colors import TwoSlopeNorm
+        from matplotlib.figure import Figure
+
         with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 8}):
             trees, policies = _distinct(rows, "tree"), _distinct(rows, "prefetch")
             across = sorted({(row["rays"], row["miss"]) for row in rows})
@@ -121,4 +119,4 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             assert image is not None
             figure.colorbar(image, ax=panels, label="median speed-up over scenes and caches", shrink=0.6)
             stamps: dict[str, dict[str, None]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-            figure.savefig(temporary, dpi=200, metadata=stamps.get(path.suffix), format=path.suffix[1:])
+            figure.savefig(temporary, dpi=200, metadata=stamps.get(ending), format=ending[1:])

@@ -1,6 +1,5 @@
 """A sweep for people: rows of ``cachesim.sweep`` -> a table, and a plot of miss rate over size and ways."""
 
-import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,16 +7,13 @@ from typing import Any
 import numpy as np
 
 from cachesim.config import format_bytes
+from cachesim.report.pictures import PICTURES, check_plot, ending_of
 from cachesim.report.replay_tables import RATES
 from cachesim.result import ratio
 from cachesim.sweep import SweepRow
-from nptrace_base.atomic import is_special, whole_file
-from nptrace_base.errors import NptraceError
+from nptrace_base.atomic import whole_file
 from nptrace_base.tables import Table, number, percent
 from traces.identity import RunIdentity, labels
-
-#: The formats of a plot, by the ending of a name.
-PICTURES = (".png", ".svg", ".pdf")
 
 
 def tables(rows: Sequence[SweepRow]) -> tuple[list[Table], list[str]]:
@@ -41,30 +37,6 @@ def tables(rows: Sequence[SweepRow]) -> tuple[list[Table], list[str]]:
     ]  # fmt: skip
     extra = ("demand\naccesses", "KB from\nmemory", "demand\nmisses")
     return [Table("", header, lines, n_left=len(shown), extra=extra)], list(RATES)
-
-
-def ending_of(path: Path, endings: Sequence[str]) -> str:
-    """Return the ending that chooses the format; the first one for standard output and the like, whose names have none.
-
-    Raises NptraceError for a file of another ending.
-    """
-    if path.suffix in endings:
-        return path.suffix
-    if is_special(path):
-        return endings[0]
-    raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")
-
-
-def check_plot(path: Path) -> None:
-    """Raise NptraceError if a plot cannot be drawn into a file: its ending is unknown, or matplotlib is missing."""
-    ending_of(path, PICTURES)
-    try:
-        importlib.import_module("matplotlib")
-    except ImportError:
-        raise NptraceError(
-            "a plot needs matplotlib, which is not installed; run: pip install matplotlib, or "
-            "uv tool install --with matplotlib nptrace, or pipx inject nptrace matplotlib"
-        ) from None
 
 
 def plot(rows: Sequence[SweepRow], path: Path) -> None:

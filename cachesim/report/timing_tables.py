@@ -60,7 +60,7 @@ def tables(results: Sequence[Timing]) -> tuple[list[Table], list[str]]:
     columns: dict[str, Callable[[Timing], str]] = {
         "cycles\n/ray": lambda r: number(r.cycles / r.n_rays, 1),
         "without": lambda r: number(r.cycles_without / r.n_rays, 1),
-        "speed-\nup": lambda r: number(r.speed_up, 3),
+        "speed-up": lambda r: number(r.speed_up, 3),
         "cycles\n/pixel": lambda r: number(r.cycles / r.n_pixels, 1),
     }
     shares = {

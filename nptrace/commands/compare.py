@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @traces_option()
 @machine_options
 @list_option(
-    "--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all of them."
+    "--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all: the usual ones."
 )
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @click.option(
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()
 def compare(
-    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool, threads:
-    int, picture: Path | None, output: Output,
+    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool,
+    threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Compare all prefetch policies on one cache and machine, in cycles, with their bound and with what needs no unit.
 
@@ -43,7 +43,9 @@ def compare(
     npcache compare traces/bunny-bvh --size 16K --assoc 2 --rays 4 --plot compare.png
     """
     from cachesim.clock.compare import compare as compare_run
+    from cachesim.clock.compare import usual_policies
     from cachesim.report import compare_tables
+    from cachesim.report.pictures import check_plot
     from traces.reader import open_run
 
     if len(machines.configs) * len(machines.clocks) > 1:
@@ -51,7 +53,9 @@ def compare(
             f"compare takes one cache and one machine, and the options ask for {len(machines.configs)} and "
             f"{len(machines.clocks)}; use npcache time for lists"
         )
-    names = [] if prefetch == ["all"] else prefetch
+    if picture is not None:
+        check_plot(picture)
+    names = [name for text in prefetch for name in (usual_policies() if text == "all" else [text])]
     rows: list[Compared] = []
     paths, began = chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths)) as bar:

@@ -38,11 +38,14 @@ def map_(
     nptrace map bunny conference sibenik sponza -o map.parquet --plot map.png
     """
     from cachesim.report import map_tables
+    from cachesim.report.pictures import check_plot
     from nptrace.break_even import QUICK, Grid, break_even
     from rtrace.camera import parse_size
     from rtrace.render import Shooting
 
     grid, began = QUICK if quick else Grid(), time.perf_counter()
+    if picture is not None:
+        check_plot(picture)
     scenes = load_scenes(names, strict, offline)
     with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
 
@@ -53,5 +56,6 @@ def map_(
         rows = break_even(scenes, Shooting(*parse_size(pixels)), grid, out, threads=threads, on_run=on_run)
     if picture is not None:
         map_tables.plot(rows, picture)
-    output.write(rows, lambda: map_tables.tables(rows))
+    if picture is None or output.is_asked_for:
+        output.write(rows, lambda: map_tables.tables(rows))
     done(f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}", began)

@@ -38,11 +38,12 @@ def sweep(
     from cachesim import sweep as sweeping
     from cachesim.grid import grid, parse_range, parse_ways_range
     from cachesim.report import sweep_output
+    from cachesim.report.pictures import check_plot
     from cachesim.source import open_source
 
     all_ways = list(dict.fromkeys(way for text in ways for way in parse_ways_range(text)))
     if picture is not None:
-        sweep_output.check_plot(picture)  # refused now, not after counting
+        check_plot(picture)  # refused now, not after counting
     configs = grid([parse_range(text) for text in size], all_ways, line)
     rows: list[sweeping.SweepRow] = []
     paths = chosen_sources(sources, folder)

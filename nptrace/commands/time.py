@@ -16,6 +16,9 @@ from nptrace.sources import LAYOUT_HELP, chosen_sources, prefetch_help, traces_o
 if TYPE_CHECKING:
     from cachesim.clock.timing import Timing
 
+#: The tallies of the clock that can be printed.
+BY = ("level", "ray", "slot", "leaf")
+
 
 @click.command("time", cls=Command, epilog=SOURCES)
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
@@ -26,11 +29,16 @@ if TYPE_CHECKING:
 @output_option(
     "--timeline", "timeline", help="Write some cycles of one case as a trace-event file, for Perfetto or chrome://tracing."
 )
+@click.option(
+    "--by",
+    type=click.Choice(BY),
+    help="Print reads and requests by tree level, ray type, place on the stack or leaf size instead.",
+)
 @threads_option()
 @results_options()
 def time_(
-    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: list[str], timeline: Path | None,
-    threads: int, output: Output,
+    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: list[str],
+    timeline: Path | None, by: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Count the cycles of runs, with and without prefetching, and say where they went.
 
@@ -42,11 +50,12 @@ def time_(
     npcache time --size 8K --assoc 2
     npcache time traces/bunny-bvh --rays 1,4,64 --mshrs 64 --prefetch stack,push
     npcache time traces/bunny-bvh --machine rtx2060 --prefetch stack,push,perfect --json
+    npcache time traces/bunny-bvh --by level
     """
     from cachesim.clock.timing import time_run
     from cachesim.layout import parse_layout
     from cachesim.prefetch import parse_prefetch
-    from cachesim.report import timing_tables
+    from cachesim.report import tally_tables, timing_tables
     from cachesim.source import open_source
 
     policies, layouts = [parse_prefetch(text) for text in prefetch], [parse_layout(text) for text in layout]
@@ -64,11 +73,18 @@ def time_(
                 source = open_source(path, one_layout)
                 bar.job(source.identity.run)
                 advance = bar.phase("time", source.n_events)
-                results += time_run(source, machines.configs, machines.clocks, policies, threads=threads, progress=advance)
+                results += time_run(
+                    source, machines.configs, machines.clocks, policies, by=by or "nothing", threads=threads, progress=advance
+                )  # fmt: skip
                 if timeline is not None:
                     from cachesim.clock.timeline import write_timeline
 
                     bar.phase("timeline")
                     write_timeline(source, machines.configs[0], machines.clocks[0], policies[0], timeline)
-    output.write([result.to_dict() for result in results], lambda: timing_tables.tables(results))
+    if str(timeline) == "-" and not output.is_asked_for:
+        pass  # stdout has the timeline
+    elif by is None:
+        output.write([result.to_dict() for result in results], lambda: timing_tables.tables(results))
+    else:
+        output.write(tally_tables.records(results, by), lambda: tally_tables.tables(results, by))
     done(f"{len(results)} case{'s' * (len(results) != 1)}, {sum(result.cycles for result in results):,} cycles", began)

@@ -19,7 +19,8 @@ from cachesim.lines import AddressLines
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
 from cachesim.report import sweep_output
-from cachesim.report.sweep_output import check_plot, plot
+from cachesim.report.pictures import check_plot
+from cachesim.report.sweep_output import plot
 from cachesim.source import open_source
 from cachesim.stack_distance import StackDistances, stack_distances
 from cachesim.sweep import SweepRow, sweep

@@ -21,6 +21,10 @@ COMMANDS = {
     "hard_check": "nptrace check --hard",
     "replay": "npcache replay traces/bunny-bvh empty.din --size 1K,2K --policy lru,random --prefetch none,traced",
     "sweep": "npcache sweep traces/bunny-kdtree empty.din --size 1K --ways 1,full",
+    "time": "npcache time traces/bunny-bvh --size 1K --assoc 1 --rays 1,4 --policy random",
+    "time_by": "npcache time traces/bunny-bvh --size 1K --assoc 1 --by slot",
+    "compare": "npcache compare traces/bunny-bvh --no-baselines --prefetch stack,push --size 1K --assoc 1",
+    "map": "nptrace map ball.obj --quick --pixels 16x16 --out map",
     "table1": "npcache table1",
     "estimate": "npcache estimate ball.obj --pixels 32x32 --size 1K",
 }
@@ -54,4 +58,4 @@ def test_every_command_with_json_is_in_the_schema():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     commands = [command for group in (cli.nptrace, cli.npcache) for command in map(group.commands.get, group.commands)]
     names = {command.name for command in commands if any("--json" in param.opts for param in command.params)}
-    assert names | {"hard_check"} == set(COMMANDS) == {ref["$ref"].rpartition("/")[2] for ref in SCHEMA["anyOf"]}
+    assert names | {"hard_check", "time_by"} == set(COMMANDS) == {ref["$ref"].rpartition("/")[2] for ref in SCHEMA["anyOf"]}

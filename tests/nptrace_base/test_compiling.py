@@ -34,6 +34,7 @@ from click.testing import CliRunner
 def run(group, *args):
     result = CliRunner().invoke(group, args)
     assert result.exit_code == 0, result.output
+one = ["traces/blob-kdtree", "--prefetch", "treelet"]
 small = ["--pixels", "8x8", "--offline"]
 run(cli.nptrace, "render", "blob", "--name", "blob", *small)
 run(cli.nptrace, "render", "court", "--accel", "bvh", "--bvh", "binned", "--batch", "0", *small)
@@ -44,6 +45,11 @@ run(cli.npcache, "replay", "--3c", "--layout", "veb,bfs,dfs,treelet:256", "--pre
 run(cli.npcache, "replay", "blob-bvh.din", "--line", "8,32")
 run(cli.npcache, "sweep", "--ways", "1..24,full", "--prefetch", "traced,stack")
 run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "opt")
+run(cli.npcache, "time", "--size", "1K", "--rays", "4", "--layout", "veb", "--by", "slot", "--timeline", "t.json", *one)
+run(cli.npcache, "compare", "traces/blob-bvh")
+run(cli.nptrace, "map", "blob", "--quick", *small)
+run(cli.nptrace, "render", "bunny", "--name", "bunny", "--out", "table", *small)
+run(cli.npcache, "table1", "--traces", "table")
 run(cli.npcache, "estimate", "blob", "--table1", "--pixels", "32x32", "--offline")
 print(compiling.n_compiled)
 """
