@@ -78,7 +78,7 @@ def test_a_row_of_the_json_adds_up():
 
 @pytest.mark.parametrize("by", BY)
 def test_the_classes_of_a_tally_add_up_to_the_row(monkeypatch, by):
-    assert BY == state.BY[1:]
+    assert state.BY[1:] == BY
     total, rows = rows_of(cli.npcache, *TIME)[0], rows_of(cli.npcache, *TIME, "--by", by)
     of_stack = [row for row in rows if row["prefetch"] == "stack:unlimited"]
     assert len({row["class"] for row in of_stack}) == len(of_stack) > 1
@@ -107,7 +107,7 @@ def test_a_timeline_lies_within_the_run(folder):
     shown = [event for event in events if event["ph"] == "X"]
     assert {event["ph"] for event in events} == {"M", "X"} and len(shown) > 1000
     for event in shown:
-        assert 0 <= event["ts"] and event["dur"] >= 1 and event["ts"] + event["dur"] <= row["cycles"]
+        assert event["ts"] >= 0 and event["dur"] >= 1 and event["ts"] + event["dur"] <= row["cycles"]
         assert event["tid"] in range(4) and event["pid"] in (0, 1)
     assert {"prefetch", "box test", "triangle test", "hit", "demand miss"} <= {event["name"] for event in shown}
     assert json.loads(run(cli.npcache, *one, "-").stdout)["traceEvents"] == events  # and no table
@@ -137,7 +137,8 @@ def test_a_map_goes_on_where_it_stopped(folder, monkeypatch):
     assert len(parts) == 6 and len(rows) == 24
     timed = []
     real = nptrace.break_even.time_run
-    monkeypatch.setattr(nptrace.break_even, "time_run", lambda run, *args, **kwargs: timed.append(run.name) or real(run, *args, **kwargs))
+    spy = lambda run, *args, **options: timed.append(run.name) or real(run, *args, **options)
+    monkeypatch.setattr(nptrace.break_even, "time_run", spy)
     assert rows_of(cli.nptrace, *MAP) == rows and timed == []
     parts[0].unlink()
     assert rows_of(cli.nptrace, *MAP) == rows and len(timed) == 1
