@@ -137,12 +137,8 @@ def test_a_map_goes_on_where_it_stopped(folder, monkeypatch):
     assert len(parts) == 6 and len(rows) == 24
     timed = []
     real = nptrace.break_even.time_run
-
-    def time_run(run, *args, **kwargs):
-        timed.append(run.name)
-        return real(run, *args, **kwargs)
-
-    monkeypatch.setattr(nptrace.break_even, "time_run", time_run)
+    spy = lambda run, *args, **options: timed.append(run.name) or real(run, *args, **options)
+    monkeypatch.setattr(nptrace.break_even, "time_run", spy)
     assert rows_of(cli.nptrace, *MAP) == rows and timed == []
     parts[0].unlink()
     assert rows_of(cli.nptrace, *MAP) == rows and len(timed) == 1

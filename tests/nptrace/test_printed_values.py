@@ -305,6 +305,10 @@ def paper_rows():
     return {(row["tree"], int(row["size_bytes"]), int(row["ways"])): row for row in rows if row["scene"] == "bunny"}
 
 
+#: What Table I has of the clock.
+CYCLES = ("cycles_per_ray_without", "cycles_per_ray", "speed_up")
+
+
 def test_table1(traces):
     """JSON, CSV and every cell of the tables."""
     paper = paper_rows()
@@ -335,10 +339,19 @@ def test_table1(traces):
         differences = [ours[key][name] - value for name, value in zip(NAMES, numbers, strict=True)]
         assert [float(word) for word in gap] == [float(f"{x:.{d}f}") for x, d in zip(differences, decimals, strict=True)]
         assert f"{key[1] // 1024}K({key[2]})" in lines[3 * i]
+    text, _, of_clock = text.partition("In time: ")
     for line, tree in zip(table_rows(text, r" (kd-tree|BVH) +Bunny"), TREES, strict=True):
         mine = [ours[key] for key in keys if key[0] == tree]
         cells = [f"{one[name]:.1f}" for one in mine for name in ("acpr_a_measured_n", "acpr_b_measured_n")]
         assert line[2:] == [f"{mine[0]['nodes_per_ray']:.2f}", *cells]
+    caches = ("--size", "8K,16K", "--assoc", "1,2")
+    timed = [call(cli.npcache, "time", traces / f"bunny-{tree}", *caches, "--json").stdout for tree in TREES]
+    timed = [row for printed in timed for row in json.loads(printed)]
+    for line, row, one in zip(table_rows(of_clock, r" (kd-tree|BVH) +Bunny"), rows, timed, strict=True):
+        assert [one[name] for name in ("size_bytes", "ways")] == [row[name] for name in ("size_bytes", "ways")]
+        assert [one[name] for name in CYCLES] == [row[name] for name in CYCLES]
+        cells = [f"{row[name]:.{d}f}" for name, d in zip(CYCLES, (1, 1, 3), strict=True)]
+        assert [word.replace(",", "") for word in line[-3:]] == cells
 
 
 @pytest.mark.parametrize("tree", TREES)

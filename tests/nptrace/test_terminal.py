@@ -33,6 +33,9 @@ COMMANDS = [
     "npcache replay traces/bunny-kdtree other/bunny-kdtree --size 1K --3c",
     "npcache replay --size 1K --prefetch none,stack:tris*2 --layout veb",
     "npcache sweep --size 1K..2K --ways 1,2 --format table",
+    "npcache time traces/bunny-bvh --size 1K --assoc 1 --rays 1,4",
+    "npcache time traces/bunny-bvh --size 1K --assoc 1 --by level",
+    "npcache compare traces/bunny-bvh --size 1K --assoc 1 --prefetch stack,push",
     "npcache table1",
     "npcache estimate ball.obj --pixels 64x64 --size 1K,2K --line 64",
 ]

@@ -188,7 +188,14 @@ def test_json(rows):
 
 def test_tables_say_what_is_counted_and_mark_stand_ins(rows):
     tables, notes = table1_tables.tables(rows), table1_tables.notes(rows)
-    assert [table.title for table in tables] == ["kd-tree", "BVH", "ACPR with the measured N (demand accesses per ray)"]
+    titles = ["kd-tree", "BVH", "ACPR with the measured N (demand accesses per ray)"]
+    titles += ["In time: the clock's machine 'paper' (hit 1, miss 100, box 1, triangle 8, rays 1)"]
+    assert [table.title for table in tables] == titles
+    for row, line, record in zip(rows, tables[3].rows, to_dicts(rows), strict=True):
+        without, cycles = row.timing.cycles_without / row.timing.n_rays, row.timing.cycles / row.timing.n_rays
+        assert line[-3:] == [f"{without:,.1f}", f"{cycles:,.1f}", f"{record['speed_up']:.3f}"]
+        assert (record["cycles_per_ray_without"], record["cycles_per_ray"]) == (without, cycles)
+        assert record["speed_up"] == row.timing.cycles_without / row.timing.cycles
     assert "counts prefetches as accesses: miss = all misses / all accesses" in " ".join(notes)
     first = tables[0].rows[:3]
     ours, paper = rows[0].ours["miss_a"], rows[0].paper["miss_a"]
@@ -197,7 +204,7 @@ def test_tables_say_what_is_counted_and_mark_stand_ins(rows):
     for text in (to_markdown(tables, notes), to_latex(tables, notes)):
         lines = [line for line in text.splitlines() if "Conference" in line]
         assert lines
-        assert text.count("(stand-in)") == 3  # its rows in both tables, and the note
+        assert text.count("(stand-in)") == 7  # its row in two tables, four rows of the clock's, and the note
         assert "all misses / all accesses" in text
     assert not table1_tables.notes([row for row in rows if not row.is_stand_in])[-1].startswith("(stand-in)")
 
