@@ -52,8 +52,8 @@ reproduce-table: $(INSTALLED) ## Render the four scenes with both trees and prin
 
 map: $(INSTALLED) ## Map where prefetching pays, on the four scenes, twenty minutes, and write docs/does-it-pay.md (ARGS=--quick: a minute, writes nothing)
 	@test -n "$(ARGS)" || test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
-	$(BIN)/nptrace map bunny conference sibenik sponza --out $(VENV)/map $(or $(ARGS),-o docs/data/map.parquet --plot docs/map.png)
-	@test -n "$(ARGS)" || $(BIN)/cog -r docs/does-it-pay.md
+	$(BIN)/nptrace map bunny conference sibenik sponza --out $(VENV)/map $(or $(ARGS),-o $(VENV)/map.parquet --plot docs/map.png)
+	@test -n "$(ARGS)" || { $(BIN)/python docs/pay.py $(VENV)/map.parquet && $(BIN)/cog -r docs/does-it-pay.md; }
 
 docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }

@@ -1,6 +1,10 @@
-"""The functions that cog runs for does-it-pay.md, from docs/data/rays.csv, compare.csv and map.parquet."""
+"""The functions that cog runs for does-it-pay.md, from docs/data/rays.csv, compare.csv and map.parquet.
+
+``python docs/pay.py MAP.parquet`` keeps the columns of a map that the page needs, as docs/data/map.parquet.
+"""
 
 import csv
+import sys
 from statistics import median
 
 import pyarrow.parquet as pq
@@ -136,3 +140,13 @@ def replication(cog) -> None:
             plural = "s" * (rays != 1)
             figures = f"mean {mean:.3f}x, best {max(values):.3f}x, least {min(values):.3f}x"
             cog.outl(f"- {TREES[tree]}, {rays} ray{plural} in flight: {figures}")
+
+
+def keep(path: str) -> None:
+    """Write the columns of a map that are needed here."""
+    names = ["scene", "tree", "leaf", "size_bytes", "ways", "prefetch", "triangle", "miss", "rays", "speed_up"]
+    pq.write_table(pq.read_table(path, columns=names), DATA / "map.parquet", compression="zstd")
+
+
+if __name__ == "__main__":
+    keep(*sys.argv[1:])
