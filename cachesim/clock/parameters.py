@@ -76,7 +76,7 @@ def _preset(name: str, cache: CacheConfig, source: str, **numbers: int) -> Prese
 
 _KB = 1024
 
-#: The machines by name. What a source does not give is said with it; a single memory latency stands for levels below the
+#: The machines by name; where a source gives no number, the text names ours. One memory latency stands for all levels below the
 #: cache.
 PRESETS = {
     preset.clock.name: preset

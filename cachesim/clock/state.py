@@ -50,7 +50,7 @@ NUMBERS = np.dtype([
 
 
 class Parameters(NamedTuple):
-    """The numbers of a machine, in cycles where nothing else is said; ``clock.parameters.Clock`` has their meanings."""
+    """The numbers of a machine, in cycles unless a comment says otherwise; ``clock.parameters.Clock`` has their meanings."""
 
     hit: int
     miss: int
