@@ -76,8 +76,8 @@ def _preset(name: str, cache: CacheConfig, source: str, **numbers: int) -> Prese
 
 _KB = 1024
 
-#: The machines by name; where a source gives no number, the text names ours. One memory latency stands for all levels below the
-#: cache.
+#: The machines by name; where a source gives no number, the text names ours. One memory latency stands for all levels below
+#: the cache.
 PRESETS = {
     preset.clock.name: preset
     for preset in (
