@@ -2,6 +2,7 @@
 
 import importlib
 import json
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import pytest
@@ -109,6 +110,9 @@ def test_a_timeline_lies_within_the_run(folder):
     for event in shown:
         assert event["ts"] >= 0 and event["dur"] >= 1 and event["ts"] + event["dur"] <= row["cycles"]
         assert event["tid"] in range(4) and event["pid"] in (0, 1)
+    for slot in range(4):  # a ray does one thing after the other
+        of_rays = sorted((event["ts"], event["dur"]) for event in shown if event["pid"] == 0 and event["tid"] == slot)
+        assert all(start + length <= after for (start, length), (after, _) in pairwise(of_rays))
     assert {"prefetch", "box test", "triangle test", "hit", "demand miss"} <= {event["name"] for event in shown}
     assert json.loads(run(cli.npcache, *one, "-").stdout)["traceEvents"] == events  # and no table
 
