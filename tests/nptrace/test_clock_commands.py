@@ -146,6 +146,10 @@ def test_a_map_goes_on_where_it_stopped(folder, monkeypatch):
     assert rows_of(cli.nptrace, *MAP) == rows and timed == []
     parts[0].unlink()
     assert rows_of(cli.nptrace, *MAP) == rows and len(timed) == 1
+    parts[1].write_bytes(b"PAR1")
+    said = run(cli.nptrace, *MAP, code=2).stderr.splitlines()[-1]
+    part = parts[1].relative_to(folder)
+    assert said == f"Error: {part} is no part of a map: it cannot be read; delete it, and its run is timed again"
 
 
 @pytest.mark.parametrize("command", [(cli.npcache, "compare", *RUN), (cli.nptrace, *MAP)])
