@@ -17,7 +17,7 @@ def compile_() -> None:
     began = time.perf_counter()
     with Progress(1) as bar:
         bar.job("compile")
-        bar.phase("about half a minute")
+        bar.phase("a minute or two")
         n_compiled = compile_all(bar.on_compiling)
     kept = "" if "kernels" in compiling.lost else f", all ready in {cache_folder()}"
     click.echo(f"{n_compiled} kernels compiled{kept}")
