@@ -16,6 +16,7 @@ from cachesim.clock.parameters import PRESETS, Clock
 from cachesim.clock.timing import time_run
 from cachesim.config import CacheConfig
 from nptrace_base.atomic import whole_file
+from nptrace_base.errors import NptraceError
 from nptrace_base.records import write_parquet
 from rtrace.render import Shooting, render_all
 from rtrace.scenes.scene import Scene
@@ -91,12 +92,16 @@ def _part(
     run: Run, leaf: int, grid: Grid, folder: Path, threads: int, advance: Callable[[int], object]
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the rows of one run, from its file if there is one for this grid."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid)], sort_keys=True)
     path = folder / f"map-{hashlib.sha256(asked.encode()).hexdigest()[:16]}.parquet"
     if path.exists():
-        return list(pq.read_table(path).to_pylist())
+        try:
+            return list(pq.read_table(path).to_pylist())
+        except pa.ArrowException as e:
+            raise NptraceError(f"{path} is no part of a map: it cannot be read; delete it, and its run is timed again") from e
     rows = list(_rows(run, leaf, grid, threads, advance))
     with whole_file(path) as temporary:
         write_parquet(rows, temporary, COLUMNS)

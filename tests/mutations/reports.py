@@ -10,6 +10,7 @@ BORDERS, ORDERS, PICTURES = "tests/rtrace/test_borders.py", "tests/rtrace/test_o
 STATE, TREES = "tests/cachesim/test_state_between_batches.py", "tests/rtrace/trees/test_tree_cache.py"
 RENDERED, REPLAYED, SWEPT = PRINTED + " -k test_render", PRINTED + " -k test_replay", PRINTED + " -k test_sweep"
 FITTED, IDENTITY, NAMED = "tests/nptrace_base/test_tables.py", "tests/traces/test_identity.py", "tests/nptrace/test_run_names.py"
+CLOCKED = "tests/nptrace/test_clock_commands.py"
 PLOTTED = PRINTED + " -k plot"
 TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
 
@@ -139,4 +140,15 @@ MUTATIONS = [
     Mutation("name: a stand-in has the name of the scene", "rtrace/run_names.py", "if scene.stand_in else", "if False else", NAMED),
     Mutation("name: the camera is not in it", "rtrace/scenes/scene.py", "if camera is not None and camera != scene.camera:", "if False:", NAMED),
     Mutation("JSON: infinity is printed", "nptrace_base/records.py", "and not math.isfinite(value)", "and False", "tests/nptrace_base/test_records.py"),
+    # The commands with a clock
+    Mutation("clocked: the bound of a comparison is the last policy", "cachesim/clock/compare.py", "[REFERENCE, *found.values(), BOUND]", "[REFERENCE, BOUND, *found.values()]", CLOCKED + " -k bound"),
+    Mutation("clocked: late prefetches of a class are not accurate", "cachesim/report/tally_tables.py", 'ratio(counts["timely"] + counts["late"], counts["filled"])', 'ratio(counts["timely"], counts["filled"])', CLOCKED + " -k classes"),
+    Mutation("clocked: classes without requests are left out", "cachesim/report/tally_tables.py", "if reads or requests:", "if requests:", CLOCKED + " -k classes"),
+    Mutation("clocked: a missing matplotlib is found after the comparison", "nptrace/commands/compare.py", "        check_plot(picture)", "        pass", CLOCKED + " -k matplotlib"),
+    Mutation("clocked: a missing matplotlib is found after the map", "nptrace/commands/map.py", "        check_plot(picture)", "        pass", CLOCKED + " -k matplotlib"),
+    Mutation("clocked: finished parts of a map are timed again", "nptrace/break_even.py", "    if path.exists():", "    if False:", CLOCKED + " -k goes_on"),
+    Mutation("clocked: a timeline on stdout has the tables below it", "nptrace/commands/time.py", 'if str(timeline) == "-" and', "if False and", CLOCKED + " -k timeline"),
+    Mutation("clocked: events of a timeline last too long", "cachesim/clock/timeline.py", '"dur": length', '"dur": length + 1', CLOCKED + " -k timeline"),
+    Mutation("clocked: cycles with and without prefetching swapped in the table", "cachesim/report/timing_tables.py", '"without": lambda r: number(r.cycles_without', '"without": lambda r: number(r.cycles', CLOCKED + " -k tables_of_time"),
+    Mutation("clocked: Table I has the cycles of another machine", "cachesim/report/table1.py", '[PRESETS["paper"].clock]', '[PRESETS["paper"].clock.with_numbers(miss=99)]', TABLE1),
 ]

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import pytest
@@ -109,6 +110,9 @@ def test_a_timeline_lies_within_the_run(folder):
     for event in shown:
         assert event["ts"] >= 0 and event["dur"] >= 1 and event["ts"] + event["dur"] <= row["cycles"]
         assert event["tid"] in range(4) and event["pid"] in (0, 1)
+    for slot in range(4):  # a ray does one thing after the other
+        of_rays = sorted((event["ts"], event["dur"]) for event in shown if event["pid"] == 0 and event["tid"] == slot)
+        assert all(start + length <= after for (start, length), (after, _) in pairwise(of_rays))
     assert {"prefetch", "box test", "triangle test", "hit", "demand miss"} <= {event["name"] for event in shown}
     assert json.loads(run(cli.npcache, *one, "-").stdout)["traceEvents"] == events  # and no table
 
@@ -142,6 +146,10 @@ def test_a_map_goes_on_where_it_stopped(folder, monkeypatch):
     assert rows_of(cli.nptrace, *MAP) == rows and timed == []
     parts[0].unlink()
     assert rows_of(cli.nptrace, *MAP) == rows and len(timed) == 1
+    parts[1].write_bytes(b"PAR1")
+    said = run(cli.nptrace, *MAP, code=2).stderr.splitlines()[-1]
+    part = parts[1].relative_to(folder)
+    assert said == f"Error: {part} is no part of a map: it cannot be read; delete it, and its run is timed again"
 
 
 @pytest.mark.parametrize("command", [(cli.npcache, "compare", *RUN), (cli.nptrace, *MAP)])
