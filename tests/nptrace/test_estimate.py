@@ -89,7 +89,7 @@ def test_table1_estimated(form):
     ("args", "sentence"),
     [
         (["estimate", "court", "--target-error", "2"], "'2' is not a target error; write e.g. 2%, 0.05pp"),
-        (["estimate", "court", "--target-error", "0%"], "leave --target-error out"),
+        (["estimate", "court", "--target-error", "0%"], "a target error of 0 needs the exact run"),
         (["estimate", "court", "--size", "8K", "--assoc", "3"], "is not a whole number of sets"),
         (["estimate", "court", "--pixels", "big"], "is not WIDTHxHEIGHT"),
         (["estimate", "court", "--resume", "x.npz"], "--resume x.npz keeps the counts of one run"),

@@ -23,17 +23,17 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_one_run_for_each_format(folder):
-    run(cli.nptrace, "render", "blob", "--size", "8x8", "--offline", "--bvh-nodes", "64", "--bvh-nodes", "32")
+    run(cli.nptrace, "render", "blob", "--pixels", "8x8", "--offline", "--bvh-nodes", "64", "--bvh-nodes", "32")
     runs = {path.name: open_run(path) for path in (folder / "traces").iterdir()}
-    assert sorted(runs) == ["blob-bvh", "blob-bvh64", "blob-kdtree"]
+    assert sorted(runs) == ["blob-standin-bvh-8x8", "blob-standin-bvh64-8x8", "blob-standin-kdtree-8x8"]
     assert {name: each.footer.tree.node_bytes for name, each in runs.items()} == {
-        "blob-bvh": 32,
-        "blob-bvh64": 64,
-        "blob-kdtree": 8,
+        "blob-standin-bvh-8x8": 32,
+        "blob-standin-bvh64-8x8": 64,
+        "blob-standin-kdtree-8x8": 8,
     }
-    assert "--bvh-nodes 64" in runs["blob-bvh64"].footer.command
-    assert "--bvh-nodes" not in runs["blob-bvh"].footer.command
-    assert runs["blob-bvh"].n_nodes == runs["blob-bvh64"].n_nodes
+    assert "--bvh-nodes 64" in runs["blob-standin-bvh64-8x8"].footer.command
+    assert "--bvh-nodes" not in runs["blob-standin-bvh-8x8"].footer.command
+    assert runs["blob-standin-bvh-8x8"].n_nodes == runs["blob-standin-bvh64-8x8"].n_nodes
 
 
 def test_the_command_in_the_footer_makes_the_run_again(folder):
@@ -53,5 +53,5 @@ def test_the_command_in_the_footer_makes_the_run_again(folder):
 def test_an_estimate_of_the_other_format(folder):
     words = ["blob", "--pixels", "16x16", "--accel", "bvh", "--offline", "--line", "64", "--json"]
     [first, second] = json.loads(run(cli.npcache, "estimate", *words, "--bvh-nodes", "32", "--bvh-nodes", "64"))
-    assert [each["run"] for each in (first, second)] == ["blob-bvh (stand-in)", "blob-bvh64 (stand-in)"]
+    assert [each["run"] for each in (first, second)] == ["blob-standin-bvh-16x16", "blob-standin-bvh64-16x16"]
     assert second["accesses_per_ray"]["value"] < first["accesses_per_ray"]["value"]

@@ -117,7 +117,7 @@ def test_table1(folder, tmp_path):
         ),
         (["replay", "--line", "48"], "Error: a line of 48 B is not a power of two"),
         (["replay", "--policy", "mru"], "Error: 'mru' is not a replacement policy; choose one of lru, fifo, random"),
-        (["replay", "--prefetch", "magic"], "Error: 'magic' is not a prefetch policy; write none, traced, stack"),
+        (["replay", "--prefetch", "magic"], "Error: 'magic': there is no prefetch policy 'magic'; write one of next-line"),
         (["replay", "--layout", "zigzag"], "Error: 'zigzag' is not a layout; choose one of stored, bfs"),
         (["replay", "no-such-run"], "Error: no-such-run is not a run directory"),
         (["replay", "no-such.din"], "Error: cannot read no-such.din: No such file or directory"),
