@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from traces.format import LEAF, PREFETCH, PUSH, READ
-
 #: Which boxes a read brings, and so what the row after a read without a push (kind 0) is.
 #: A split plane and no box: one child is followed, the row after. What is popped beyond the nearest hit is not read.
 NO_BOX = 0
@@ -63,17 +61,6 @@ class NodeFormat(NamedTuple):
         if self.reads_leaves:
             return "an address is node number x node size"
         return "an inner node's address is the number of its pair of children, from 0, x node size, and a leaf's is 2^64 - 1"
-
-    @property
-    def inner_kinds(self) -> tuple[int, ...]:
-        """The kinds that rows of an inner node may have."""
-        return READ, PUSH, PREFETCH
-
-    @property
-    def leaf_kinds(self) -> tuple[int, ...]:
-        """The kinds that rows of a leaf may have: it is missed only by its own box, and requested only where it is read."""
-        missed = (READ,) if self.boxes == OWN_BOX else ()
-        return (*missed, LEAF, *((PREFETCH,) if self.reads_leaves else ()))
 
 
 #: Every format by its name. The 8-byte kd-tree and the 32-byte BVH are Manta's (2013); both boxes in the parent, in 64 bytes,

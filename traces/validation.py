@@ -13,8 +13,8 @@ import pyarrow.compute as pc
 
 from nptrace_base.jit import kernel
 from traces.footer import Footer, TreeFacts
-from traces.format import LEAF, PREFETCH, SHADOW, RunError
-from traces.node_formats import NodeFormat, stored_addresses
+from traces.format import LEAF, PREFETCH, PUSH, READ, SHADOW, RunError
+from traces.node_formats import OWN_BOX, NodeFormat, stored_addresses
 
 #: The axis of a leaf in ``nodes.parquet``.
 LEAF_AXIS = 3
@@ -150,9 +150,19 @@ def is_any_bad(node, axis, n_prims, has_children):
     return is_bad
 
 
+#: The kinds that rows of an inner node may have.
+INNER_KINDS = READ, PUSH, PREFETCH
+
+
+def leaf_kinds(node_format: NodeFormat) -> tuple[int, ...]:
+    """Return the kinds that rows of a leaf may have: its own box alone can be missed, and it is requested where it is read."""
+    missed = (READ,) if node_format.boxes == OWN_BOX else ()
+    return (*missed, LEAF, *((PREFETCH,) if node_format.reads_leaves else ()))
+
+
 def kinds_allowed(axis: np.ndarray, node_format: NodeFormat) -> np.ndarray:
     """Return the kinds that an access of each node may have, (n_nodes,) uint8 with one bit per kind."""
-    inner, leaf = (sum(1 << kind for kind in kinds) for kinds in (node_format.inner_kinds, node_format.leaf_kinds))
+    inner, leaf = (sum(1 << kind for kind in kinds) for kinds in (INNER_KINDS, leaf_kinds(node_format)))
     allowed = np.empty(axis.size, np.uint8)
     fill_allowed(axis, np.uint8(inner), np.uint8(leaf), allowed)
     return allowed

@@ -47,7 +47,7 @@ from traces.format import LEAF as KIND_LEAF
 from traces.format import PUSH as KIND_PUSH
 
 #: What an entry of the log is about.
-LOG_READ, LOG_BOX, LOG_TRIANGLES, LOG_PREFETCH = range(4)
+LOG_READ, LOG_BOX, LOG_TRIANGLES, LOG_PREFETCH = map(np.int64, range(4))  # as NumPy's: literals are compiled one by one
 
 N_CAUSES = len(CYCLES)
 
@@ -405,7 +405,7 @@ def _read(unit, machine, clock, parameters, slot, line, now):
         of_read = T_MISSES
         ready, cause, outcome = _ask_memory(machine, clock, parameters, line, now), MISS, NOT_FOUND
     if parameters.by:
-        of = _class_of(machine, clock, parameters, slot, ray.last_node, False)
+        of = _class_of(machine, clock, parameters, slot, ray.last_node, T_READS)
         clock.tally[of, T_READS] += 1
         if of_read == T_MISSES:
             clock.tally[of, T_MISSES] += 1
@@ -436,7 +436,7 @@ def _prefetch(machine, clock, parameters, slot, wanted, line, now):
         _ask_memory(machine, clock, parameters, line, now)
         machine.status[line] |= UNUSED
     if parameters.by:
-        of = _class_of(machine, clock, parameters, slot, wanted, True)
+        of = _class_of(machine, clock, parameters, slot, wanted, found)
         clock.tally[of, found] += 1
         if found == T_FILLED:
             clock.class_of[line] = of
@@ -452,7 +452,7 @@ def _tally(clock, parameters, line, what):
 
 
 @kernel(_nrt=False)
-def _class_of(machine, clock, parameters, slot, node, is_prefetch):
+def _class_of(machine, clock, parameters, slot, node, what):
     """Return the class of a read, or of a request, of a node; ``node`` is negative for a request of a line.
 
     A request by a unit that all rays share is of the class of slot 0's ray; reads have no place on the stack and no leaf:
@@ -463,7 +463,7 @@ def _class_of(machine, clock, parameters, slot, node, is_prefetch):
         return np.int64(machine.tree.level[node]) if node >= 0 else np.int64(0)
     if parameters.by == BY_RAY:
         return clock.slots[own].type
-    if not is_prefetch:
+    if what == T_READS:
         return np.int64(0)
     if parameters.by == BY_LEAF:
         is_testing = clock.slots[own].last_kind == KIND_LEAF and clock.slots[own].event == VISIT

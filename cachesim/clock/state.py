@@ -18,7 +18,7 @@ CYCLES = ("box test", "triangle test", "hit", "demand miss", "late prefetch", "p
 BY = ("nothing", "level", "ray", "slot", "leaf")
 BY_NOTHING, BY_LEVEL, BY_RAY, BY_SLOT, BY_LEAF = range(len(BY))
 TALLY = ("reads", "misses", "late", "timely", "redundant", "joined", "filled", "evicted")
-T_READS, T_MISSES, T_LATE, T_TIMELY, T_REDUNDANT, T_JOINED, T_FILLED, T_EVICTED = range(len(TALLY))
+T_READS, T_MISSES, T_LATE, T_TIMELY, T_REDUNDANT, T_JOINED, T_FILLED, T_EVICTED = map(np.int64, range(len(TALLY)))
 
 #: What the next event of a slot is.
 VISIT, LEAF, TEST, FREE = range(4)

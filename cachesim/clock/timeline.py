@@ -47,4 +47,7 @@ def _event(entry: list[int]) -> dict[str, Any]:
     if what == LOG_READ:
         ray, cause = divmod(number, len(CYCLES))
         return event | {"name": CYCLES[cause], "args": {"node": node, "ray": ray}}
-    return event | {"name": {LOG_BOX: "box test", LOG_TRIANGLES: "triangle test"}[what], "args": {"node": node, "ray": number}}
+    return event | {
+        "name": {int(LOG_BOX): "box test", int(LOG_TRIANGLES): "triangle test"}[what],
+        "args": {"node": node, "ray": number},
+    }

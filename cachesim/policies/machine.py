@@ -9,6 +9,9 @@ from nptrace_base.jit import inlined
 #: What became of a demand read's line, for ``on_visit``.
 HIT, FIRST_USE, MISS = range(3)
 
+#: One candidate, as NumPy's: kernels are compiled for each literal.
+ONE = np.int64(1)
+
 # Status of a line, one bit each.
 RESIDENT = 1  # in the cache
 IN_FLIGHT = 2  # requested from memory

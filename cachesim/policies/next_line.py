@@ -8,7 +8,7 @@ import numpy as np
 from cachesim.cache import ALWAYS, ON_MISS, TAGGED
 from cachesim.policies import Facts, Policy, whole
 from cachesim.policies.hooks import NOTHING, as_line
-from cachesim.policies.machine import HIT, MISS, Machine, drop, offer, stop_waiting
+from cachesim.policies.machine import HIT, MISS, ONE, Machine, drop, offer, stop_waiting
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined
 
@@ -55,14 +55,14 @@ def replace(unit, machine, slot, line):
     forget(unit, machine, slot)
     if 0 <= line < machine.status.size:
         unit.line[slot] = line
-        offer(machine, slot, 1)
+        offer(machine, slot, ONE)
 
 
 @inlined
 def forget(unit, machine, slot):
     """Drop the line that still waits."""
     if unit.line[slot] >= 0:
-        drop(machine, slot, 1)
+        drop(machine, slot, ONE)
         stop_waiting(machine, slot)
         unit.line[slot] = -1
 

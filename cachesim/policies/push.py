@@ -6,7 +6,7 @@ import numpy as np
 
 from cachesim.policies import Facts, Policy, no_options
 from cachesim.policies.hooks import NOTHING
-from cachesim.policies.machine import Machine, drop, drop_demanded, offer, stop_waiting
+from cachesim.policies.machine import ONE, Machine, drop, drop_demanded, offer, stop_waiting
 
 FORM = "push"
 HELP = "the pushed sibling, from the push on"
@@ -28,22 +28,22 @@ class Push(NamedTuple):
 
     def on_push(self, machine, slot):
         if self.entry[slot] >= 0:
-            drop(machine, slot, 1)
+            drop(machine, slot, ONE)
             stop_waiting(machine, slot)
         self.entry[slot] = -1
         if machine.tree.n_lines[machine.stack[slot, machine.sp[slot] - 1]] > 0:
             self.entry[slot] = machine.sp[slot] - 1
-            offer(machine, slot, 1)
+            offer(machine, slot, ONE)
 
     def on_pop(self, machine, slot):
         if self.entry[slot] >= machine.sp[slot]:
-            drop_demanded(machine, 1)
+            drop_demanded(machine, ONE)
             stop_waiting(machine, slot)
             self.entry[slot] = -1
 
     def on_end(self, machine, slot):
         if self.entry[slot] >= 0:
-            drop(machine, slot, 1)
+            drop(machine, slot, ONE)
             stop_waiting(machine, slot)
             self.entry[slot] = -1
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from cachesim.policies import Facts, Policy, no_options
 from cachesim.policies.hooks import NOTHING
-from cachesim.policies.machine import Machine, drop, drop_demanded, offer, stop_waiting
+from cachesim.policies.machine import ONE, Machine, drop, drop_demanded, offer, stop_waiting
 
 FORM = "ttp"
 HELP = "TTP (2026): 1, 2, then 16 entries from the top down at the first, second, further pop since a push"
@@ -49,7 +49,7 @@ class Ttp(NamedTuple):
         for i in range(self.n[slot]):
             node = self.queue[slot, i]
             if node == demanded:
-                drop_demanded(machine, 1)
+                drop_demanded(machine, ONE)
                 if i == 0:
                     machine.lines_asked[slot] = 0
             else:

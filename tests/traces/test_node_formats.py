@@ -13,6 +13,7 @@ from traces.din import DinTrace, export_din
 from traces.format import LEAF, PREFETCH, PUSH, READ, RunError
 from traces.node_formats import NO_ADDRESS, NODE_FORMATS, formats_of, stored_addresses
 from traces.reader import open_run
+from traces.validation import INNER_KINDS, leaf_kinds
 
 
 def test_every_format_is_known_everywhere():
@@ -20,8 +21,8 @@ def test_every_format_is_known_everywhere():
     assert list(formats_of("bvh")) == list(map(int, BVH_NODES))
     assert [each.node_bytes for each in NODE_FORMATS.values()] == [8, 32, 64]
     assert [each.reads_leaves for each in NODE_FORMATS.values()] == [True, True, False]
-    assert [each.leaf_kinds for each in NODE_FORMATS.values()] == [(LEAF, PREFETCH), (READ, LEAF, PREFETCH), (LEAF,)]
-    assert {each.inner_kinds for each in NODE_FORMATS.values()} == {(READ, PUSH, PREFETCH)}
+    assert [leaf_kinds(each) for each in NODE_FORMATS.values()] == [(LEAF, PREFETCH), (READ, LEAF, PREFETCH), (LEAF,)]
+    assert INNER_KINDS == (READ, PUSH, PREFETCH)
 
 
 def test_inner_nodes_lie_side_by_side_and_leaves_nowhere():
