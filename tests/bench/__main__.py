@@ -23,7 +23,7 @@ from rtrace.render import Shooting, render
 from rtrace.scenes.catalog import load_scene
 from rtrace.shading import shadow_rays
 from rtrace.traverse import trace
-from rtrace.trees.tree_cache import TREES, cached_tree
+from rtrace.trees.tree_cache import cached_tree
 from tests.bench.goals import ABSENT, GOALS, is_met
 from tests.bench.savings import bench_savings
 from tests.bench.several_rays import bench_several
@@ -108,7 +108,7 @@ def main() -> None:
             add(savings, bench_savings(scene, size, repeat))
             pixels = np.arange(size * size, dtype=np.uint32)
             primary = primary_rays(scene.camera.frame(size, size), pixels, size)
-            for kind in TREES:
+            for kind in ("kdtree", "bvh"):
                 tree, path = cached_tree(scene, kind), folder / f"{scene_name}-{kind}"
                 shadow = shadow_rays(tree, primary, trace(tree, primary), scene.light)[0]
                 add(tried, bench_variants(tree, pieces(primary), repeat))

@@ -29,7 +29,7 @@ from cachesim.sampling.unit_counts import UnitCounts
 from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting
 from rtrace.scenes.catalog import load_scene
-from rtrace.trees.tree_cache import TREES, cached_tree
+from rtrace.trees.tree_cache import cached_tree
 from tests.bench.step_pictures import PICTURES
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "data" / "calibration.csv"
@@ -72,7 +72,7 @@ def subjects(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
     for size in filter(None, args.sizes.split(",")):
         for name in filter(None, args.scenes.split(",")):
             scene = load_scene(name, notify=lambda text: print(text, file=sys.stderr))
-            for tree in TREES:
+            for tree in ("kdtree", "bvh"):
                 for chosen in args.sets.split(";"):
                     yield {
                         "scene": scene.label, "tree": tree, "size": f"{size}x{size}", "caches": chosen, "target": TARGET,
@@ -84,7 +84,7 @@ def subjects(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
         chosen = "Table I" if list(picture.configs) == SETS["Table I"] else ", ".join(
             f"{config.size_bytes >> 10}K {config.ways}-way" for config in picture.configs
         )  # fmt: skip
-        for tree in TREES:
+        for tree in ("kdtree", "bvh"):
             yield {
                 "scene": name, "tree": tree, "size": f"{picture.width}x{picture.height}", "caches": chosen, "target": WIDE,
                 "order": picture.order, "configs": list(picture.configs), "load": lambda scene=scene: scene,

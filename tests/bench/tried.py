@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 from cachesim import source
 from cachesim.filter import DirectFilter
 from cachesim.lines import look_up, tally
+from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
 from cachesim.source import RunSource
 from tests.bench.measure import ratio, times
@@ -57,7 +58,7 @@ def _writing(run: Run, repeat: int) -> dict[str, float]:
 
 def _filter(run: Run, repeat: int) -> dict[str, float]:
     """Replay with and without the exact filter; filter in one pass or in three."""
-    events = next(RunSource(run).events(source.Prefetch("traced")))
+    events = next(RunSource(run).events(parse_prefetch("traced")))
     lines = RunSource(run).lines(32, 0)
     totals = np.zeros(16, np.int64)
 
