@@ -28,7 +28,7 @@ real = pytest.mark.skipif("NPTRACE_SCENES" not in os.environ, reason="figures of
 @pytest.mark.parametrize("kind", TREES)
 def test_sampled_visits_equal_the_reference(benchmark_scene, kind):
     tree = build_tree(benchmark_scene.triangles, kind)
-    pixels = np.random.default_rng(5).integers(0, 128 * 128, 25).astype(np.uint32)
+    pixels = np.random.default_rng(5).integers(0, 128 * 128, 40).astype(np.uint32)
     primary = primary_rays(benchmark_scene.camera.frame(128, 128), pixels, 128)
     shadow = shadow_rays(tree, primary, trace(tree, primary), benchmark_scene.light)[0]
     n_events = 0
