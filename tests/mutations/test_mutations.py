@@ -52,7 +52,7 @@ def project(tmp_path_factory):
 
 
 def test_a_kernel_pasted_into_another_file_is_compiled_again(project, tmp_path):
-    workshop, tests = Workshop(tmp_path, project), "tests/test_total.py"
+    workshop, tests = Workshop(tmp_path / "copy", tmp_path / "kernels", project), "tests/test_total.py"
     broken = Mutation("pasted", "rtrace/inner.py", "STEP * x", "STEP * x + 1", tests)
     harmless = Mutation("harmless", "rtrace/inner.py", "STEP * x", "x * STEP", tests)
     assert workshop.who_notices(broken) == "test_total.py::test_total"
