@@ -450,7 +450,7 @@ TARGETS = [
         try_footer,
     ),
     *(Target(f"trees of {kind}", seeds, partial(try_scene, kind), least=17_000) for kind in SCENES),
-    Target("runs with other values", st.integers(0, 1 << 48), try_run_values),
+    Target("runs with other values", st.integers(0, 1 << 48), try_run_values, least=20_000),
     Target("DineroIV traces", din_texts | din_binary | st.binary(max_size=60), try_din),
     Target(
         "DineroIV traces in disguise",

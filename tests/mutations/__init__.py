@@ -30,7 +30,7 @@ _FILES = sorted(Path(__file__).parent.glob("[a-z]*.py"))
 _LISTS = sorted(path.stem for path in _FILES if path.stem not in ("mutation", "test_mutations"))
 MUTATIONS = [mutation for name in _LISTS for mutation in importlib.import_module(f"tests.mutations.{name}").MUTATIONS]
 
-RUNS = ("*-kdtree", "*-bvh", "*-bvh64")  # folders with runs, which a copy does not need
+_RUNS = ("*-kdtree", "*-bvh", "*-bvh64")  # folders with runs, which a copy does not need
 
 _TIMEOUT = 900  # seconds; what runs longer never ends
 _FAILURES = ("FAILED ", "ERROR ")  # how pytest's lines about them begin
@@ -50,10 +50,8 @@ class Workshop:
     def __init__(self, root: Path, kernels: Path, source: Path = ROOT) -> None:
         self._project, self._trees, self._kernels = root / "project", root / "trees", kernels
         self._n_written = 0
-        keep = shutil.ignore_patterns(
-            ".git", ".venv*", "__pycache__", ".hypothesis", ".*_cache", "*-kdtree", "*-bvh", "*-bvh64"
-        )
-        shutil.copytree(source, self._project, ignore=keep)
+        left_out = shutil.ignore_patterns(".git", ".venv*", "__pycache__", ".hypothesis", ".*_cache", *_RUNS)
+        shutil.copytree(source, self._project, ignore=left_out)
         kernels.mkdir(mode=0o700, exist_ok=True)
         (old, new), (place, version) = _SAME_FOLDER, _FOLDER_A_VERSION
         self._replace("nptrace_base/jit.py", old, new)
