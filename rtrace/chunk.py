@@ -10,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from nptrace_base.jit import kernel
+from rtrace.rays import Hits, Rays
 from rtrace.shading import shade, shadow_rays
-from rtrace.traverse import KIND_BITS, Hits, Rays, Room, trace, trace_recorded
+from rtrace.traverse import Room, trace, trace_recorded
+from rtrace.traversers.common import KIND_BITS
 from rtrace.trees.tree import Tree
 from traces.format import LEAF, PREFETCH, PRIMARY, SHADOW
 from traces.writer import empty_column

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nptrace_base.jit import kernel
-from rtrace.traverse import Hits, Rays
+from rtrace.rays import Hits, Rays
 from rtrace.trees.tree import Tree
 
 #: Shadow rays start this far from the surface, and end this far before the light, relative to the largest coordinate: four

@@ -4,8 +4,8 @@ import numpy as np
 
 from rtrace.checks.cases.case import Case, aimed, exact_case, known_case
 from rtrace.checks.hard_cases import CASES as CASES_OF_CHECK
+from rtrace.rays import make_rays
 from rtrace.scenes.shapes import icosphere
-from rtrace.traverse import make_rays
 
 
 def lattice_soup(seed: int) -> Case:

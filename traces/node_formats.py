@@ -1,7 +1,7 @@
 """The formats of a tree's nodes in memory: what one read brings, and so what the rows of a run mean and where nodes lie.
 
 A run's footer names its format as the kind of its tree. What another module has to know about a format is asked here; a new
-format is an entry of ``NODE_FORMATS``, a traversal kernel (``rtrace.traverse``) and its slow twin in the tests.
+format is an entry of ``NODE_FORMATS``, a kernel in ``rtrace.traversers`` and its slow twin in the tests.
 """
 
 from typing import NamedTuple

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rtrace.chunk import primary_rays
+from rtrace.rays import Hits, Rays, make_rays
 from rtrace.scenes.scene import Scene
 from rtrace.shading import shadow_rays
-from rtrace.traverse import Hits, Rays, make_rays, trace
+from rtrace.traverse import trace
 from rtrace.trees.tree import Tree
 
 #: Share of the rays whose hit/miss answer, and whose triangle at unequal t, may differ from Embree's. Measured on 2 million

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rtrace.checks.embree import kappa
-from rtrace.traverse import Rays
+from rtrace.rays import Rays
 
 #: Largest error of t where float64 rounds, in ``units`` (docs/correctness.md).
 T_BOUND = 16.0

@@ -13,8 +13,9 @@ import numpy as np
 from rtrace.checks.cases import degenerate, edges, lattices, limits, shadows, strays
 from rtrace.checks.cases.case import Case, Point
 from rtrace.checks.exact_answers import units
+from rtrace.rays import Hits, Rays
 from rtrace.shading import shadow_rays
-from rtrace.traverse import Hits, Rays, trace, trace_all
+from rtrace.traverse import trace, trace_all
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.tree import BVH_NODE, Tree

@@ -24,8 +24,8 @@ from cachesim.sampling.cold_start import ALONE, KnownReplay
 from rtrace import traverse as ours
 from rtrace.checks.embree import kappa
 from rtrace.chunk import primary_rays
+from rtrace.rays import Rays, make_rays
 from rtrace.scenes.catalog import load_scene
-from rtrace.traverse import Rays, make_rays
 from rtrace.trees.tree import Tree, node_table
 from rtrace.trees.tree_cache import cached_tree
 

@@ -4,8 +4,9 @@ import ctypes
 
 import numpy as np
 
+from rtrace.rays import Rays
 from rtrace.render import CHUNK
-from rtrace.traverse import Rays, Room, trace_recorded
+from rtrace.traverse import Room, trace_recorded
 from rtrace.trees.tree import Tree
 from tests.bench.measure import ratio, times
 from tests.bench.stage1 import call_peer, pieces

@@ -14,10 +14,11 @@ import numpy as np
 
 from rtrace.checks.embree import embree_scene
 from rtrace.chunk import primary_rays
+from rtrace.rays import Rays
 from rtrace.render import CHUNK, Shooting, render
 from rtrace.scenes.scene import Scene
 from rtrace.shading import shadow_rays
-from rtrace.traverse import Rays, Room, trace, trace_recorded
+from rtrace.traverse import Room, trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.tree import Tree, in_format, words

@@ -4,16 +4,19 @@ Every variant gives the same events as the program, which is checked before it i
 """
 
 import importlib.util
+import inspect
 import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
 from rtrace import traverse
-from rtrace.traverse import Rays, Room
+from rtrace.rays import Rays
+from rtrace.traverse import Room
 from rtrace.trees.tree import Tree
 from tests.bench.measure import ratio, times
 
@@ -94,9 +97,10 @@ VARIANTS = {
 }  # fmt: skip
 
 
-def module_of(name: str, variant: Variant, folder: Path) -> Any:
-    """Return ``rtrace.traverse`` with the variant's changes, as a module."""
-    source = Path(traverse.__file__).read_text(encoding="utf-8")
+def kernel_of(name: str, variant: Variant, folder: Path) -> Any:
+    """Return the kernel of a tree's traverser with the variant's changes."""
+    ours = traverse.KERNELS[variant.tree]
+    source = Path(inspect.getfile(inspect.unwrap(ours.py_func))).read_text(encoding="utf-8")
     for first, last, new in variant.changes:
         start = source.index(first)
         source = source[:start] + new + source[source.index(last, start) + len(last) :]
@@ -107,19 +111,18 @@ def module_of(name: str, variant: Variant, folder: Path) -> Any:
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module
     spec.loader.exec_module(module)
-    # Numba looks a NamedTuple's type up by its fields: of two classes alike, one takes half a millisecond at every call.
-    module.Rays, module.Hits = traverse.Rays, traverse.Hits
-    return module
+    return getattr(module, ours.__name__)
 
 
 def bench_variants(tree: Tree, pieces: list[Rays], repeat: int) -> dict[str, float]:
     """Return for each variant of a tree's traversal its time, traced, closest hit, over ours."""
     room = Room()
 
-    def traced(module: Any, tree: Tree) -> Callable[[], None]:
+    def traced(trace_rays: Any, tree: Tree) -> Callable[[], None]:
         def call() -> None:
-            for piece in pieces:
-                module.trace_recorded(tree, piece, room=room)
+            with patch.dict(traverse.KERNELS, {tree.kind: trace_rays}):
+                for piece in pieces:
+                    traverse.trace_recorded(tree, piece, room=room)
 
         return call
 
@@ -133,8 +136,9 @@ def bench_variants(tree: Tree, pieces: list[Rays], repeat: int) -> dict[str, flo
     with tempfile.TemporaryDirectory() as folder:
         for name, variant in VARIANTS.items():
             if variant.tree == tree.kind:
-                module, other = module_of(name, variant, Path(folder)), variant.prepare(tree)
-                np.testing.assert_array_equal(module.trace_recorded(other, pieces[0])[2], want, name)
-                functions[name] = traced(module, other)
-        taken = times({"ours": traced(traverse, tree), **functions}, repeat)
+                trace_rays, other = kernel_of(name, variant, Path(folder)), variant.prepare(tree)
+                with patch.dict(traverse.KERNELS, {tree.kind: trace_rays}):
+                    np.testing.assert_array_equal(traverse.trace_recorded(other, pieces[0])[2], want, name)
+                functions[name] = traced(trace_rays, other)
+        taken = times({"ours": traced(traverse.KERNELS[tree.kind], tree), **functions}, repeat)
     return {f"{name}: time": ratio(taken[name], taken["ours"]) for name in functions}

@@ -12,10 +12,11 @@ import pytest
 from cachesim.prefetch import UnitReplay, parse_prefetch
 from cachesim.source import RunSource
 from rtrace.camera import ORDERS
+from rtrace.rays import make_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import scene_from_triangles
 from rtrace.scenes.shapes import boxes, icosphere, soup
-from rtrace.traverse import make_rays, trace_recorded
+from rtrace.traverse import trace_recorded
 from rtrace.trees.tree import node_table
 from rtrace.trees.tree_cache import TREES, build_tree
 from tests.reference import traversal as reference

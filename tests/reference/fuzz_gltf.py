@@ -60,7 +60,8 @@ def try_changed_gltf(value: tuple[int, list[tuple[int, str, Any]]]) -> None:
     """What is read are triangles of numbers; the rest is refused in a sentence."""
     number, changed = value
     tree = copy.deepcopy(good_trees()[number])
-    for at, what, new in changed:
+    for at, what, value_there in changed:
+        new = copy.deepcopy(value_there)  # a later change may be made inside it
         paths = [path for path in places(tree) if path]
         if not paths:
             break

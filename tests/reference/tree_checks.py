@@ -8,8 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from rtrace.rays import Rays, make_rays
 from rtrace.scenes.shapes import rectangle
-from rtrace.traverse import Rays, make_rays, trace, trace_all
+from rtrace.traverse import trace, trace_all
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.strays import SLACK, make_room

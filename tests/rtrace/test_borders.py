@@ -21,9 +21,10 @@ from nptrace_base.tables import to_markdown
 from rtrace import render as rendering
 from rtrace.camera import Camera
 from rtrace.chunk import Chunk
+from rtrace.rays import make_rays
 from rtrace.render import CHUNK, Shooting, render
 from rtrace.scenes.scene import scene_from_triangles
-from rtrace.traverse import make_rays, trace_recorded
+from rtrace.traverse import trace_recorded
 from rtrace.trees.tree import node_table
 from rtrace.trees.tree_cache import build_tree
 from tests.reference.cache import Cache, pieces

@@ -9,10 +9,11 @@ import pytest
 
 from rtrace import chunk as shooting_
 from rtrace import render as rendering
+from rtrace.rays import make_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import scene_from_triangles
 from rtrace.scenes.shapes import icosphere, soup
-from rtrace.traverse import NoRoomError, Room, make_rays, trace_recorded
+from rtrace.traverse import NoRoomError, Room, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 

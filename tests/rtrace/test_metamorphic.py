@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rtrace.rays import make_rays
 from rtrace.scenes.scene import SceneError, scene_from_triangles
 from rtrace.scenes.shapes import boxes, height_field, icosphere, soup
-from rtrace.traverse import make_rays, trace, trace_recorded
+from rtrace.traverse import trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from tests.rtrace.trees.test_kdtree import needles

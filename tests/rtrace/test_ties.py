@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rtrace.traverse import make_rays, trace, trace_all
+from rtrace.rays import make_rays
+from rtrace.traverse import trace, trace_all
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 

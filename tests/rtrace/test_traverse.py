@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rtrace.intersect import margins
+from rtrace.rays import make_rays
 from rtrace.scenes.shapes import boxes, height_field, icosphere, soup
-from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
+from rtrace.traverse import trace, trace_all, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.tree_cache import build_tree

@@ -5,8 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from rtrace.rays import Rays, make_rays
 from rtrace.scenes.shapes import box, boxes, icosphere
-from rtrace.traverse import Rays, make_rays, trace, trace_all, trace_recorded
+from rtrace.traverse import trace, trace_all, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from tests.reference.traversal import events_of, traverse

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rtrace.checks.exact_answers import T_BOUND, Answer, exact_answer
+from rtrace.rays import Rays, make_rays
 from rtrace.scenes.shapes import rectangle
-from rtrace.traverse import Rays, make_rays
 
 Point = tuple[float, float, float]
 

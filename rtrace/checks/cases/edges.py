@@ -14,8 +14,8 @@ from rtrace.checks.cases.case import (
     lattice,
     random_rays,
 )
+from rtrace.rays import make_rays
 from rtrace.scenes.shapes import boxes, height_field, icosphere, rectangle
-from rtrace.traverse import make_rays
 
 CASES = Cases()
 

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 
 from rtrace.checks.cases.case import AXES, EXACT, QUAD, ROUNDING, Cases, corners_and_middles, exact_case, lattice, random_rays
+from rtrace.rays import make_rays
 from rtrace.scenes.shapes import boxes, height_field, rectangle
-from rtrace.traverse import make_rays
 
 CASES = Cases()
 

@@ -14,8 +14,8 @@ from rtrace.checks.cases.case import (
     known_case,
     lattice,
 )
+from rtrace.rays import Rays, make_rays
 from rtrace.scenes.shapes import box, icosphere
-from rtrace.traverse import Rays, make_rays
 
 CASES = Cases()
 

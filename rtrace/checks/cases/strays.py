@@ -3,8 +3,8 @@
 import numpy as np
 
 from rtrace.checks.cases.case import INSIDE, OUTSIDE, Cases, aimed, corners_and_middles, exact_case
+from rtrace.rays import Rays, make_rays
 from rtrace.scenes.shapes import icosphere
-from rtrace.traverse import Rays, make_rays
 
 CASES = Cases()
 

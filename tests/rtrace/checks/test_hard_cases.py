@@ -12,9 +12,10 @@ from rtrace.checks import exact_answers, hard_cases
 from rtrace.checks.cases.case import Case, exact_case
 from rtrace.checks.exact_answers import exact_answer, exact_hits, whole_numbers
 from rtrace.checks.hard_cases import STRUCTURES, Row, run_case
+from rtrace.rays import Hits, Rays, make_rays
 from rtrace.scenes.shapes import icosphere
 from rtrace.shading import shadow_rays
-from rtrace.traverse import Hits, Rays, make_rays, trace, trace_recorded
+from rtrace.traverse import trace, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from tests.hard_cases import CASES

@@ -5,9 +5,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from rtrace.rays import make_rays
 from rtrace.scenes.float32_check import LEAST_STEPS, choice, measure, normalised, notes
 from rtrace.scenes.scene import load_mesh, scene_from_triangles
-from rtrace.traverse import make_rays, trace
+from rtrace.traverse import trace
 from rtrace.trees.bvh import build_bvh
 
 

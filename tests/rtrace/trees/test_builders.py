@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from rtrace.rays import make_rays
 from rtrace.scenes.shapes import height_field, rectangle, soup
-from rtrace.traverse import make_rays
 from rtrace.trees import kdtree
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from rtrace.rays import make_rays
 from rtrace.scenes.shapes import icosphere
-from rtrace.traverse import make_rays, trace, trace_all, trace_recorded
+from rtrace.traverse import trace, trace_all, trace_recorded
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.clip import POLYGON, PartBounds, rank, split_bounds, value
 from rtrace.trees.kdtree import build_kdtree

@@ -1,0 +1,1 @@
+"""One kernel per node format, and what they share."""
