@@ -54,7 +54,7 @@ def machine_options(function: Callable[..., Any]) -> Any:
     command = _list("--size", parse_bytes, "SIZES", "Cache sizes, e.g. 8K,16K; those of the machine if left out.")(command)
     return click.option(
         "--machine", default="paper", show_default=True, type=click.Choice(list(PRESETS)),
-        help="Where the numbers below come from that are not given (sources at the end); lists make every combination.",
+        help="Where the numbers below come from that are not given; the list is below. Lists make every combination.",
     )(command)  # fmt: skip
 
 
@@ -73,5 +73,6 @@ def clocks_of(machine: str, numbers: dict[str, Sequence[int]]) -> list[Clock]:
     ]  # fmt: skip
 
 
-#: What ``--help`` says of the machines.
-SOURCES = "\n\n".join(["Machines and where their numbers come from:", *(f"{n}: {p.source}." for n, p in PRESETS.items())])
+def machine_sources() -> list[tuple[str, str]]:
+    """Return the machines, and where their numbers come from."""
+    return [(name, f"{preset.source}.") for name, preset in PRESETS.items()]

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import click
@@ -89,11 +89,23 @@ def _level_option(short: str, long: str, level: int, help: str) -> Any:
 
 
 class Command(click.Command):
-    """A command with ``old`` spellings of its options, which still work and say what to write instead."""
+    """A command with ``old`` spellings of its options, which still work and say what to write instead.
 
-    def __init__(self, *args: Any, old: Mapping[str, str] | None = None, **kwargs: Any) -> None:
+    ``lists`` end its help: by title, what returns rows of a name and what it means.
+    """
+
+    def __init__(
+        self, *args: Any, old: Mapping[str, str] | None = None,
+        lists: Mapping[str, Callable[[], list[tuple[str, str]]]] | None = None, **kwargs: Any,
+    ) -> None:  # fmt: skip
         super().__init__(*args, **kwargs)
-        self._old = old or {}
+        self._old, self._lists = old or {}, lists or {}
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the lists."""
+        for title, rows in self._lists.items():
+            with formatter.section(title):
+                formatter.write_dl(rows(), col_max=16)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse, after replacing old spellings."""

@@ -12,11 +12,23 @@ from nptrace.groups import BadInput
 LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
 
 
-def prefetch_help(*, is_timed: bool = True) -> str:
-    """Return what ``--prefetch`` says of the policies; without a clock, of those that need none."""
+#: What ``--prefetch`` says where a list of the policies ends the help.
+PREFETCH_HELP = "Prefetch policies, e.g. none,stack:tris*2; the list is below."
+
+
+def policies() -> list[tuple[str, str]]:
+    """Return the names of the prefetch policies with their options, and what they do."""
     from cachesim.policies import described
 
-    return "Prefetch policies: " + "; ".join(f"{form}: {text}" for form, text in described().values()) + "."
+    return [(form, f"{text[0].upper()}{text[1:]}.") for form, text, _ in described().values()]
+
+
+def untimed_policies() -> list[tuple[str, str]]:
+    """Return those policies that need no clock."""
+    from cachesim.policies import described
+
+    needs_clock = {form for form, _, needs_clock in described().values() if needs_clock}
+    return [row for row in policies() if row[0] not in needs_clock]
 
 
 def chosen_sources(sources: Sequence[Path], folder: Path) -> list[Path]:

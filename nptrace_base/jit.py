@@ -243,8 +243,23 @@ def _as_written(twin: Callable[..., Any]) -> Callable[[Any], Any]:
 IS_PLAIN: bool = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]
 
 
-#: Decorator of a small function that only kernels call: pasted into them, without counting references to its arrays.
-inlined: Any = partial(kernel, _nrt=False, forceinline=True)
+def inlined(function: Callable[..., Any]) -> Any:
+    """Decorate a small function that kernels call: pasted into them, without counting references to its arrays.
+
+    It is stored as a part of them, and without the code that unpacks Python's objects, which took longer to compile than the
+    function itself. Python calls a twin that has it.
+    """
+    if IS_PLAIN:
+        return _in_python(function)
+    made = kernel(function, is_kept=False, _nrt=False, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+    twin = kernel(function, is_kept=False)
+
+    def add_overload(compiled: Any) -> None:
+        made.overloads[tuple(compiled.signature.args)] = compiled  # and not to the table for calls from Python
+
+    made.add_overload, made._compile_for_args = add_overload, lambda *args: twin
+    return made
+
 
 #: ``instructions(twin)``: decorator of a function written in LLVM's own instructions (``numba.extending.intrinsic``); ``twin``
 #: is the same in Python, for when nothing is compiled.

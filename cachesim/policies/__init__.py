@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from nptrace_base.errors import NptraceError
 
@@ -74,6 +74,14 @@ class Policy:
         return self.shown(values) if self.shown else options
 
 
+class Description(NamedTuple):
+    """What ``--help`` says of a policy."""
+
+    form: str
+    help: str
+    needs_clock: bool
+
+
 def no_options(options: Sequence[str]) -> dict[str, Any]:
     """Return the options of a policy that has none."""
     if options:
@@ -100,17 +108,19 @@ def policies() -> dict[str, Policy]:
 
 
 @cache
-def described() -> dict[str, tuple[str, str]]:
-    """Return form and help of the policies of this folder, by module, without importing them: ``--help`` is in a hurry."""
-    found: dict[str, tuple[str, str]] = {}
+def described() -> dict[str, Description]:
+    """Return what the policies of this folder say of themselves, by module, without importing them: help is in a hurry."""
+    found: dict[str, Description] = {}
     for path in sorted(Path(__file__).parent.glob("[a-z]*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
         values: dict[str, str] = {
             target.id: str(node.value.value)
-            for node in ast.parse(path.read_text(encoding="utf-8")).body
+            for node in tree.body
             if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
             for target in node.targets
             if isinstance(target, ast.Name) and isinstance(node.value.value, str)
         }
         if "FORM" in values:
-            found[path.stem] = values["FORM"], values["HELP"]
+            needs_clock = any(isinstance(node, ast.keyword) and node.arg == "needs_clock" for node in ast.walk(tree))
+            found[path.stem] = Description(values["FORM"], values["HELP"], needs_clock)
     return found

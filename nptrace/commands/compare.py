@@ -6,23 +6,25 @@ from typing import TYPE_CHECKING
 
 import click
 
-from nptrace.clock_options import SOURCES, Machines, machine_options
+from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.groups import BadInput, Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, chosen_sources, traces_option
+from nptrace.sources import LAYOUT_HELP, chosen_sources, policies, traces_option
 
 if TYPE_CHECKING:
     from cachesim.clock.compare import Compared
 
 
-@click.command(cls=Command, epilog=SOURCES)
+@click.command(
+    cls=Command, lists={"Prefetch policies": policies, "Machines and where their numbers come from": machine_sources}
+)
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @machine_options
 @list_option(
-    "--prefetch", item=str, metavar="POLICIES", default="all", help="Policies, as npcache time has them; all: the usual ones."
+    "--prefetch", item=str, metavar="POLICIES", default="all", help="Prefetch policies of the list below; all: the usual ones."
 )
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @click.option(

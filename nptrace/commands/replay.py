@@ -11,13 +11,13 @@ from nptrace.groups import Command
 from nptrace.options import list_option, size_option, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Counted, Progress, done
-from nptrace.sources import LAYOUT_HELP, chosen_sources, prefetch_help, traces_option
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, chosen_sources, traces_option, untimed_policies
 
 if TYPE_CHECKING:
     from cachesim.result import Result
 
 
-@click.command(cls=Command, old={"--report": "--format"})
+@click.command(cls=Command, old={"--report": "--format"}, lists={"Prefetch policies": untimed_policies})
 @click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @size_option()
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo, random, opt (Belady)."
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")
-@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=prefetch_help())
+@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
 @threads_option()

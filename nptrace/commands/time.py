@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from nptrace.clock_options import SOURCES, Machines, machine_options
+from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.groups import BadInput, Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, chosen_sources, prefetch_help, traces_option
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, chosen_sources, policies, traces_option
 
 if TYPE_CHECKING:
     from cachesim.clock.timing import Timing
@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 BY = ("level", "ray", "slot", "leaf")
 
 
-@click.command("time", cls=Command, epilog=SOURCES)
+@click.command(
+    "time", cls=Command, lists={"Prefetch policies": policies, "Machines and where their numbers come from": machine_sources}
+)
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @machine_options
-@list_option("--prefetch", item=str, metavar="POLICIES", default="stack", help=prefetch_help())
+@list_option("--prefetch", item=str, metavar="POLICIES", default="stack", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @output_option(
     "--timeline", "timeline", help="Write some cycles of one case as a trace-event file, for Perfetto or chrome://tracing."
