@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nptrace_base.errors import NptraceError
+from traces.frame import Point, axes, frame, unit
 from traces.identity import camera_text
 from traces.identity import point_text as _text
 
@@ -26,8 +27,6 @@ FARTHEST = float(np.finfo(np.float32).max)
 _FIT_DIRECTION = (0.55, 0.45, 0.75)  # from the middle of the box to a fitted camera: front right, a bit above
 _FIT_MARGIN = 1.05
 _PARALLEL = 1e-6  # sine of the least angle between up and the view; below it the picture's tilt is rounding noise
-
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +71,8 @@ class Camera:
             raise NptraceError(f"camera eye {_text(self.eye)} and look_at {_text(self.look_at)} are too far apart for a float")
         if self.up == (0.0, 0.0, 0.0):
             raise NptraceError("camera up is 0,0,0 but must have a direction; write e.g. up=0,1,0")
-        view = _unit(np.subtract(self.look_at, self.eye))
-        if math.hypot(*np.cross(view, _unit(self.up))) < _PARALLEL:
+        view = unit(np.subtract(self.look_at, self.eye))
+        if math.hypot(*np.cross(view, unit(self.up))) < _PARALLEL:
             other = "0,0,1" if abs(view[1]) > 0.5 else "0,1,0"
             raise NptraceError(
                 f"camera up {_text(self.up)} is parallel to the view from {_text(self.eye)} to {_text(self.look_at)}; "
@@ -82,26 +81,12 @@ class Camera:
 
     def axes(self) -> np.ndarray:
         """Return (3, 3) float64: the unit vectors to the right, up and forward in the picture, one per row."""
-        forward = _unit(np.subtract(self.look_at, self.eye))
-        right = _unit(np.cross(forward, _unit(self.up)))
-        return np.array([right, np.cross(right, forward), forward])
+        return axes(self)
 
     def frame(self, width: int, height: int) -> np.ndarray:
-        """Return the vectors that make the rays of a picture of ``width`` x ``height`` pixels.
-
-        Returns
-        -------
-        frame : (4, 3) float64
-            Rows eye, corner, du, dv: the ray through the centre of pixel (x, y), y counted down from the top, starts at
-            ``eye`` and has the direction ``corner + x * du + y * dv`` (not of unit length).
-        """
+        """Return the vectors that make the rays of a picture of ``width`` x ``height`` pixels: ``traces.frame.frame``."""
         check_size(width, height)
-        right, up, forward = self.axes()
-        half = math.tan(math.radians(self.fov) / 2)
-        du = right * (2 * half / height)  # square pixels: the same step both ways
-        dv = up * (-2 * half / height)
-        corner = forward - du * ((width - 1) / 2) - dv * ((height - 1) / 2)
-        return np.array([self.eye, corner, du, dv])
+        return frame(self, width, height)
 
 
 def fit_camera(bounds: np.ndarray) -> Camera:
@@ -257,12 +242,6 @@ def _curve(steps: tuple[tuple[int, int], ...], turns: tuple[int, ...], width: in
         if not inside.all():
             x, y, state = x[inside], y[inside], state[inside]
     return y.astype(np.uint32) * np.uint32(width) + x.astype(np.uint32)
-
-
-def _unit(vector) -> np.ndarray:
-    """Return ``vector``, not zero, at length 1; scaled first, so that no length over- or underflows."""
-    scaled = np.asarray(vector, np.float64) / np.abs(vector).max()
-    return scaled / math.hypot(*scaled)
 
 
 def _point(values, what: str = "point") -> Point:

@@ -16,6 +16,7 @@ from rtrace.traverse import Room, trace, trace_recorded
 from rtrace.traversers.common import KIND_BITS
 from rtrace.trees.tree import Tree
 from traces.format import LEAF, PREFETCH, PRIMARY, SHADOW
+from traces.rays import primary_directions
 from traces.writer import empty_column
 
 #: Events of one type of rays that a chunk holds at most, unless a single ray has more: 8 MB, and 19 MB of columns. Usual
@@ -48,18 +49,6 @@ class Traced(NamedTuple):
     t: np.ndarray  # (n,) float64
     n_accesses: np.ndarray  # (n,) uint32
     events: np.ndarray  # (sum of count,) uint32
-
-
-@kernel
-def _primary_directions(frame, pixels, width, direction):
-    """Write unit directions through the pixel centres; ``frame`` is Camera.frame: eye, corner, du, dv."""
-    for i in range(pixels.size):
-        x, y = np.float64(pixels[i] % width), np.float64(pixels[i] // width)
-        dx = frame[1, 0] + x * frame[2, 0] + y * frame[3, 0]
-        dy = frame[1, 1] + x * frame[2, 1] + y * frame[3, 1]
-        dz = frame[1, 2] + x * frame[2, 2] + y * frame[3, 2]
-        scale = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz)
-        direction[i, 0], direction[i, 1], direction[i, 2] = dx * scale, dy * scale, dz * scale
 
 
 @kernel
@@ -135,7 +124,7 @@ def primary_rays(frame: np.ndarray, pixels: np.ndarray, width: int) -> Rays:
     """Return one ray through the centre of each pixel (``y * width + x``), of unit direction, from the eye to infinity."""
     n = len(pixels)
     direction = np.empty((n, 3), np.float32)
-    _primary_directions(frame, pixels, np.uint32(width), direction)
+    primary_directions(frame, pixels, np.uint32(width), direction)
     origin = np.broadcast_to(frame[0].astype(np.float32), (n, 3)).copy()
     return Rays(origin, direction, np.zeros(n), np.full(n, np.inf))
 

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from traces.format import FORMAT_VERSION, RunError
+from traces.frame import Point
 from traces.node_formats import NODE_FORMATS, NodeFormat
 
 #: Bytes that a node may have: with fewer than 2^32 nodes no address overflows.
 MAX_NODE_BYTES = 1 << 20
-
-Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

@@ -284,7 +284,7 @@ def _start_ray(rows, unit, machine, clock, slot, now):
     ray.last_kind = -1
     ray.event = VISIT
     ray.started = now
-    machine.sp[slot] = 0
+    machine.sp[slot], machine.ray[slot] = 0, number
     clock.cycles[IDLE] += now - ray.since
     ray.since = now
     hooks.on_start(unit, machine, slot)

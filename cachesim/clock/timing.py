@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -24,6 +25,7 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 from traces.identity import RunIdentity
 from traces.node_formats import CHILD_BOXES, NO_BOX
+from traces.rays import traced_rays
 from traces.reader import Run
 
 
@@ -230,6 +232,7 @@ class Workshop:
         self._source, self._threads, self._progress, self._by = source, threads, progress, BY.index(by)
         self._trees: dict[int, tuple[Tree, int]] = {}
         self._boxes = source.run.footer.tree.node_format.boxes
+        self._rays = cache(lambda: traced_rays(source.run))
 
     def job(
         self, config: CacheConfig, clock: Clock, prefetch: Prefetch, *, is_scout: bool = False, scout: _Job | None = None,
@@ -242,7 +245,7 @@ class Workshop:
         tree, n_lines = self._tree(config.line_bytes)
         machine = make_machine(tree, clock.rays, n_lines)
         run = self._source.run
-        facts = Facts(run.footer.tree.node_bytes, config.line_bytes, run.n_accesses)
+        facts = Facts(run.footer.tree.node_bytes, config.line_bytes, run.n_accesses, self._rays)
         unit = self._unit(policy, machine, facts, prefetch.options, is_scout, scout)
         if unit is None:
             return None

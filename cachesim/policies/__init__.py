@@ -10,9 +10,12 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nptrace_base.errors import NptraceError
+
+if TYPE_CHECKING:
+    from traces.rays import TracedRays
 
 GROUP = "nptrace.policies"
 
@@ -26,11 +29,14 @@ class Facts:
     node_bytes, line_bytes : int
     n_rows : int
         Demand rows of the trace.
+    rays : callable, optional
+        Returns the rays of the run, by ``Machine.ray``; a replay without a clock has none.
     """
 
     node_bytes: int
     line_bytes: int
     n_rows: int
+    rays: "Callable[[], TracedRays] | None" = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,8 @@ class Machine(NamedTuple):
         Row of the trace whose visit pushed each of them, counted over demand rows.
     sp : (n_slots,) int64
         Entries on each stack.
+    ray : (n_slots,) int64
+        Number of the ray of each slot, counted over the rays that read nodes; -1 in a replay without a clock.
     status : (n_lines,) uint8
         The bits above; empty in a replay without a clock.
     waiting : (2, n_slots + 2) int64
@@ -82,6 +84,7 @@ class Machine(NamedTuple):
     stack: np.ndarray
     pushed_at: np.ndarray
     sp: np.ndarray
+    ray: np.ndarray
     status: np.ndarray
     waiting: np.ndarray
     lines_asked: np.ndarray
@@ -101,6 +104,7 @@ def make_machine(tree: Tree, n_slots: int, n_lines: int = 0) -> Machine:
         stack=np.zeros((n_slots, depth), np.int64),
         pushed_at=np.zeros((n_slots, depth), np.int64),
         sp=np.zeros(n_slots, np.int64),
+        ray=np.full(n_slots, -1, np.int64),
         status=np.zeros(n_lines, np.uint8),
         waiting=waiting,
         lines_asked=np.zeros(n_slots + 1, np.int64),

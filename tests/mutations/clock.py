@@ -7,7 +7,7 @@ from tests.mutations.mutation import Mutation
 
 KERNEL, CALENDAR, TIMING, STRETCHES = (f"cachesim/clock/{name}.py" for name in ("kernel", "calendar", "timing", "stretches"))
 MODEL, WORKED, LAWS, EQUATION = (f"tests/cachesim/clock/test_{name}.py" for name in ("clock_model", "worked", "laws", "equation_1"))
-STACK, PUSH, TTP, NEXT, STRIDE, TREELET, ORACLE = (f"tests/cachesim/policies/test_{name}.py" for name in ("stack", "push", "ttp", "next_line", "stride", "treelet", "oracle"))
+STACK, PUSH, TTP, NEXT, STRIDE, TREELET, ORACLE, PREDICTOR = (f"tests/cachesim/policies/test_{name}.py" for name in ("stack", "push", "ttp", "next_line", "stride", "treelet", "oracle", "predictor"))
 UNTIMED, NEEDS, FOREIGN = (f"tests/cachesim/policies/test_{name}.py" for name in ("untimed", "needs_clock", "foreign"))
 
 
@@ -67,6 +67,16 @@ MUTATIONS = [
     Mutation("treelet: filled depth-first", policy("treelet"), "            node = queue[head]\n            head += 1\n", "            tail -= 1\n            node = queue[tail]\n", TREELET),
     Mutation("oracle: a use is credited when the last line is asked for", policy("oracle"), "line = np.int64(machine.tree.first_line[node]) + machine.lines_asked[slot]", "line = np.int64(machine.tree.first_line[node])", ORACLE),
     Mutation("oracle: every read is a use", policy("oracle"), "if outcome == FIRST_USE:", "if outcome != 2:", ORACLE),
+    Mutation("predictor: looked up before the primary ray has ended", policy("predictor"), "        self.predicted[slot], self.leaf[slot] = -2, -1\n", "        self.predicted[slot], self.leaf[slot] = look_up(self, machine.ray[slot]), -1\n        if self.predicted[slot] >= 0:\n            offer(machine, slot, walk(self, machine, slot))\n", PREDICTOR),
+    Mutation("predictor: a request stays when its node is read", policy("predictor"), "if first <= line < first + machine.tree.n_lines[node]:", "if line < 0:", PREDICTOR),
+    Mutation("predictor: rays that miss are learned", policy("predictor"), "if node <= 0 or not self.is_hit[ray]:", "if node <= 0:", PREDICTOR),
+    Mutation("predictor: a right prediction is replaced", policy("predictor"), "if above != self.predicted[slot]:", "if True:", PREDICTOR),
+    Mutation("predictor: a look-up refreshes nothing", policy("predictor"), "    put_first(unit, of, way, unit.keys[ray], node)\n    return node\n", "    return node\n", PREDICTOR),
+    Mutation("predictor: the path goes one level higher", policy("predictor"), "while left > 0 and machine.tree.level[node] > 1:", "while left >= 0 and machine.tree.level[node] > 1:", PREDICTOR),
+    Mutation("predictor: rays are counted by slot", KERNEL, "machine.sp[slot], machine.ray[slot] = 0, number", "machine.sp[slot], machine.ray[slot] = 0, slot", PREDICTOR),
+    Mutation("predictor: theta keeps the lower bits", policy("predictor"), "np.hypot(x, y), z)).astype(np.int64) >> (8 - direction_bits)", "np.hypot(x, y), z)).astype(np.int64) & ((1 << direction_bits) - 1)", PREDICTOR + " -k key"),
+    Mutation("rays: rays that read nothing are counted", "traces/rays.py", "    read = rays[\"count\"] > 0\n", "    read = rays[\"count\"] >= 0\n", "tests/traces/test_rays.py"),
+    Mutation("rays: a shadow ray begins where any primary ray hits", "traces/rays.py", "    of = primary[place]\n", "    of = primary[place - 1]\n", "tests/traces/test_rays.py"),
     Mutation("live: what is popped unread is wanted", policy("stack"), "        self.used[machine.pushed_at[slot, machine.sp[slot]]] = 1\n", "        self.used[:] = 1\n", UNTIMED),
     Mutation("stack: the level is that of the leaf above", policy("stack"), "machine.tree.level[node] > unit.levels", "machine.tree.level[node] >= unit.levels", UNTIMED),
     Mutation("stack: what is given up is not counted", policy("stack"), "            drop(machine, slot, n_candidates(self, machine, slot))\n", "", STACK),

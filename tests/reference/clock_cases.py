@@ -12,6 +12,7 @@ from cachesim.policies.machine import UNUSED, Tree, make_machine
 from cachesim.prefetch import parse_prefetch
 from tests.reference.clock import SlowClock, visits_of
 from tests.reference.traces import make_trace
+from traces.rays import TracedRays
 
 LINES = {
     "hits": "hits", "misses": "misses", "joined_by_demand": "joined by demand", "redundant": "redundant", "joined": "joined",
@@ -48,6 +49,10 @@ class Case:
                 self.waits_for[ray] = -2
             elif choice == 1 and (primary := int(rng.integers(ray))) not in self.waits_for:
                 self.waits_for[ray] = primary  # a primary ray has one shadow ray at most
+        places, ways = rng.random((3, 3), np.float32), rng.normal(size=(3, 3)).astype(np.float32)
+        of_ray = rng.integers(0, 3, (2, len(starts)))
+        is_shadow = self.types == 1
+        self.traced = TracedRays(places[of_ray[0]], ways[of_ray[1]], is_shadow, rng.random(len(starts)) < 0.8)
         ends = [
             (base + address, base + address + trace.node_bytes - 1) if address >= 0 else None for address in trace.addresses
         ]
@@ -95,7 +100,8 @@ def fast_account(case, numbers, config, n_slots, text, *, steps=(), watches_leav
         watches_leaves=policy.watches_leaves if watches_leaves is None else watches_leaves, by=by,
         mask=set_mask(config.n_sets),
     )  # fmt: skip
-    facts, scouted = Facts(case.trace.node_bytes, case.line_bytes, case.nodes.size), {}
+    facts = Facts(case.trace.node_bytes, case.line_bytes, case.nodes.size, lambda: case.traced)
+    scouted = {}
     if policy.scout is not None:
         first = clocked(case, parameters, config, n_slots, lambda machine: policy.scout(machine, facts, **options))
         scouted = {} if first is None else {"scouted": first[2]}

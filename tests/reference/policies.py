@@ -1,5 +1,6 @@
 """The prefetch policies as slow as can be, for ``SlowClock``: lists, counters and searches, written from what is published."""
 
+import math
 from collections import Counter
 from itertools import pairwise
 
@@ -200,6 +201,83 @@ def treelets(lines, parent, capacity):
             queue += [child for child in range(len(parent)) if parent[child] == node]
         found.append(nodes)
     return found
+
+
+def slow_key(ray, rays, origin_bits, direction_bits):
+    """Return the key of a ray: cells of a grid over the origins of shadow rays, xor angles in whole degrees."""
+    starts = [[float(c) for c in origin] for origin, is_shadow in zip(rays.origin, rays.is_shadow, strict=True) if is_shadow]
+    key = 0
+    for axis in range(3):
+        low, high = min((s[axis] for s in starts), default=0.0), max((s[axis] for s in starts), default=0.0)
+        share = (float(rays.origin[ray][axis]) - low) / (high - low if high > low else 1.0)
+        key = key << origin_bits | min(max(int(share * 2**origin_bits), 0), 2**origin_bits - 1)
+    x, y, z = map(float, rays.direction[ray])
+    theta, phi = math.degrees(math.acos(z / math.hypot(x, y, z))), math.degrees(math.atan2(y, x)) + 180
+    return key ^ (int(phi) >> 8 - direction_bits << direction_bits | int(theta) >> 8 - direction_bits)
+
+
+class SlowPredictor(NoPolicy):
+    """A list of (key, node) for every set, the most recent first; the path of a ray is written down when it reads first."""
+
+    def __init__(self, lines, parent, rays, entries, ways, origin, direction, up):
+        self.lines, self.parent, self.rays, self.ways, self.up = lines, parent, rays, ways, up
+        self.keys = [slow_key(ray, rays, origin, direction) for ray in range(len(rays.is_hit))]
+        self.table, self.bits = [[] for _ in range(entries // ways)], (entries // ways).bit_length() - 1
+        self.stored, self.waits, self.tested = {}, {}, {}
+
+    def entries_of(self, key):
+        number, rest = 0, key
+        while rest and self.bits:
+            number, rest = number ^ rest % 2**self.bits, rest // 2**self.bits
+        return self.table[number]
+
+    def above(self, node):
+        """Return the node and all above it, without the root, from the top down."""
+        return [*self.above(self.parent[node]), node] if node > 0 else []
+
+    def start(self, slot):
+        self.stored.pop(slot.number, None)
+        self.waits[slot.number], self.tested[slot.number] = [], None
+
+    def visit(self, slot, line, outcome):
+        waits = self.waits[slot.number]
+        if slot.number in self.stored:
+            if waits and line in self.lines[waits[0]]:
+                del waits[0]
+                self.clock.candidates["demanded first"] += 1
+                self.clock.partly[slot.number] = 0
+                if not waits:
+                    self.clock.stop_waiting(slot.number)
+            return
+        key = self.keys[slot.ray]
+        entries = self.entries_of(key)
+        found = [entry for entry in entries if entry[0] == key]
+        self.stored[slot.number] = found[0][1] if found else None
+        if found:
+            entries.sort(key=lambda entry: entry[0] != key)
+            waits += [node for node in self.above(found[0][1]) if self.lines[node]]
+            self.clock.offer(slot.number, len(waits))
+
+    def leaf(self, slot):
+        self.tested[slot.number] = slot.visit.node
+
+    def end(self, slot):
+        self.clock.drop(slot.number, len(self.waits[slot.number]))
+        self.clock.stop_waiting(slot.number)
+        path = self.above(self.tested[slot.number] or 0)
+        if not path or not self.rays.is_hit[slot.ray] or self.stored.get(slot.number) in path:
+            return
+        key = self.keys[slot.ray]
+        entries = self.entries_of(key)
+        entries[:] = [entry for entry in entries if entry[0] != key]
+        entries.insert(0, (key, path[max(len(path) - 1 - self.up, 0)]))
+        del entries[self.ways :]
+
+    def request(self, number):
+        return self.lines[self.waits[number][0]] if self.waits.get(number) else None
+
+    def requested(self, number):
+        del self.waits[number][0]
 
 
 class SlowScout(SlowStack):

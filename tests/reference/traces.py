@@ -148,12 +148,12 @@ def make_footer(**changes):
     return Footer(**(entries | changes))
 
 
-def write(trace, path, repeat=1, scene="bunny", stand_in=False):
-    """Write a trace as a run and open it; ``repeat`` shoots the same rays again and again."""
+def write(trace, path, repeat=1, scene="bunny", stand_in=False, **changes):
+    """Write a trace as a run and open it; ``repeat`` shoots the same rays again and again, ``changes`` are the footer's."""
     n = len(trace.parent)
     footer = make_footer(
         scene=SceneFacts(scene, scene.title(), "", "", sum(trace.n_prims), stand_in),
-        tree=TreeFacts(trace.kind, trace.node_bytes), width=1, height=trace.n_rays,
+        tree=TreeFacts(trace.kind, trace.node_bytes), width=1, height=trace.n_rays, **changes,
     )  # fmt: skip
     rays, nodes, kinds = (np.array(column) for column in zip(*trace.rows, strict=True))
     columns = {

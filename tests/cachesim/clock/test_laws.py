@@ -11,7 +11,7 @@ from tests.reference.clock_cases import Case, cases, check_account, config_of, c
 #: Every policy of the package that makes requests, some with options.
 POLICIES = (
     "stack", "stack:tris*1:once", "stack:live", "push", "ttp", "next-line:always", "next-line:tagged:2", "stride",
-    "treelet:bytes=64:every=5", "oracle",
+    "treelet:bytes=64:every=5", "oracle", "predictor:entries=4:origin=1:direction=1:up=1",
 )  # fmt: skip
 
 one_line = st.builds(

@@ -14,7 +14,7 @@ from nptrace_base.errors import NptraceError
 from tests.reference.traces import make_trace, write
 
 EXACT = {"none", "traced", "stack", "push", "ttp", "next-line"}
-NEED_CLOCK = {"stride", "treelet", "oracle", "perfect"}
+NEED_CLOCK = {"stride", "treelet", "oracle", "perfect", "predictor"}
 CACHES = [CacheConfig(size, ways, 64, policy) for size, ways in ((512, 1), (512, 2), (1024, 16)) for policy in ("lru", "fifo")]
 
 

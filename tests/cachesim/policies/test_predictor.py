@@ -1,0 +1,54 @@
+"""The ray predictor in the clock against its model, and the keys of rays."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cachesim.policies.predictor import folded, keys_of
+from cachesim.prefetch import parse_prefetch
+from nptrace_base.errors import NptraceError
+from tests.reference.clock_cases import cases, check_account, config_of, configs, fast_account, machines, slow_account
+from tests.reference.policies import SlowPredictor, slow_key
+from traces.rays import TracedRays
+
+options = st.fixed_dictionaries({
+    "entries": st.sampled_from((1, 2, 4, 8)), "ways": st.sampled_from((1, 2, 4)), "origin": st.integers(0, 2),
+    "direction": st.integers(0, 2), "up": st.integers(0, 3),
+}).filter(lambda options: options["entries"] >= options["ways"])  # fmt: skip
+
+
+@given(cases, machines, configs, st.integers(1, 8), options)
+def test_every_number_is_that_of_the_model(case, numbers, config, n_slots, options):
+    text = ":".join(["predictor", *(f"{name}={value}" for name, value in options.items())])
+    fast = fast_account(case, numbers, config_of(config), n_slots, text)
+    model = SlowPredictor(case.lines, case.trace.parent, case.traced, **options)
+    assert fast == slow_account(case, numbers, config_of(config), n_slots, model)
+    check_account(fast, n_slots)
+
+
+@given(st.integers(0, 1 << 20), st.integers(0, 40), st.integers(0, 10), st.integers(0, 8))
+def test_keys_are_those_of_the_model(seed, n, origin_bits, direction_bits):
+    rng = np.random.default_rng(seed)
+    rays = TracedRays(
+        rng.normal(size=(n, 3)).astype(np.float32), rng.normal(size=(n, 3)).astype(np.float32), rng.random(n) < 0.5,
+        np.ones(n, bool),
+    )  # fmt: skip
+    keys = keys_of(rays, origin_bits, direction_bits)
+    assert keys.tolist() == [slow_key(ray, rays, origin_bits, direction_bits) for ray in range(n)]
+
+
+def test_a_key_by_hand():
+    """Half way through the grid along x, at its end along y, at its begin along z; theta 90, phi 180 + 45 degrees."""
+    origin = np.array([[0, 0, 0], [8, 8, 8], [4, 9, -1]], np.float32)
+    rays = TracedRays(origin, np.array([[1, 1, 0]] * 3, np.float32), np.array([True, True, False]), np.ones(3, bool))
+    direction = (225 >> 5) << 3 | 90 >> 5
+    assert keys_of(rays, 5, 3).tolist() == [direction, 0b11111_11111_11111 ^ direction, 0b10000_11111_00000 ^ direction]
+    assert folded(np.array([0b101_0011_1100]), 16).tolist() == [0b0101 ^ 0b0011 ^ 0b1100]
+    assert folded(np.array([7]), 1).tolist() == [0]
+
+
+@pytest.mark.parametrize("options", ["size=4", "entries=0", "ways=3", "entries=12:ways=4", "up=x", "origin=11"])
+def test_bad_options_are_refused(options):
+    with pytest.raises(NptraceError, match="write predictor"):
+        parse_prefetch(f"predictor:{options}")
