@@ -3,7 +3,7 @@
 from nptrace.groups import Commands
 
 nptrace = Commands(
-    "nptrace", ["render", "scenes", "info", "check", "export", "map", "compile"],
+    "nptrace", ["render", "scenes", "info", "view", "check", "export", "map", "compile"],
     help="Stage 1: render scenes and record every node access.",
 )  # fmt: skip
 npcache = Commands(

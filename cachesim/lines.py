@@ -55,6 +55,10 @@ class NodeLines:
         last = self._first if self._last is None else self._last
         return self._first, (last - self._first + 1).astype(np.uint8)
 
+    def n_of(self, events: np.ndarray) -> np.ndarray | None:
+        """Return the number of accesses of each node read; None if it is one for all nodes."""
+        return None if self._last is None else self._last[events] - self._first[events] + np.uint32(1)
+
     def accesses(self, events: np.ndarray, access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of node reads."""
         events = read_only(events)

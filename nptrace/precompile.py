@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from cachesim.by_group import events_by, replay_by
+from cachesim.clock.by_pixel import cycles_by_pixel
 from cachesim.clock.compare import usual_policies
 from cachesim.clock.parameters import PRESETS
 from cachesim.clock.stretches import Stretches
@@ -192,7 +194,11 @@ def tracing_and_replaying() -> None:
             for prefetch in ("none", "traced", "stack:once", "next-line:tagged"):
                 replay(run, plain + two_lines, prefetch=prefetch, threads=1)
                 replay(run, plain, prefetch=prefetch, is_filtered=False, three_c=True, threads=1)
+                for by in ("pixel", "level"):
+                    replay_by(run, two_lines, by, prefetch=prefetch, threads=1)
             replay(run, known, threads=1)
+            events_by(run, "pixel")
+            cycles_by_pixel(RunSource(run), CacheConfig(512, 2, 16), PRESETS["paper"].clock)
             time_run(run, [CacheConfig(512, 2, 16)], [PRESETS["paper"].clock], _timed(of_the_stack=True), threads=1)
             sweep(run, [CacheConfig(64 * 16, 32, 16)], prefetch="stack", threads=1)
             for form in ("text", "binary"):

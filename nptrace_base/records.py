@@ -8,11 +8,14 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 #: Raised when a key of the JSON output gets another meaning or goes; a new key does not count.
 SCHEMA_VERSION = 1
+
+_AT_A_TIME = 1 << 16  # records of which Arrow makes columns: a sequence may make its records when they are asked for
 
 Record = Mapping[str, Any]
 
@@ -46,14 +49,22 @@ def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, typ
     import pyarrow.parquet as pq
 
     arrow = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
-    fields = []
-    for name in dict.fromkeys(name for record in records for name in record):
-        held = (type(record[name]) for record in records if record.get(name) is not None)
-        found = next(held, (types or {}).get(name, float))
-        fields.append(pa.field(name, arrow.get(found, pa.float64())))
-    plain = [{name: _utf8(value) for name, value in record.items()} for record in records]
-    with open(path, "wb") as file:  # by Python: Arrow opens only names that are UTF-8
-        pq.write_table(pa.Table.from_pylist(plain, pa.schema(fields)), file)
+    found: dict[str, type | None] = {}
+    for record in records:
+        for name, value in record.items():
+            if found.get(name) is None:
+                found[name] = None if value is None else type(value)
+    held = {name: type_ or (types or {}).get(name, float) for name, type_ in found.items()}
+    fields = [pa.field(name, arrow.get(type_, pa.float64())) for name, type_ in held.items()]
+    schema, rows = pa.schema(fields), iter(records)
+    with (
+        open(path, "wb") as file,
+        pq.ParquetWriter(file, schema) as writer,
+    ):  # by Python: Arrow opens only names that are UTF-8
+        for _ in range(0, max(len(records), 1), _AT_A_TIME):
+            some = islice(rows, _AT_A_TIME)
+            plain = [{name: _utf8(value) for name, value in record.items()} for record in some]
+            writer.write_table(pa.Table.from_pylist(plain, schema))
 
 
 def _utf8(value: Any) -> Any:

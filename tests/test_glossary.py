@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 import cli
 import nptrace_base.tables
+from nptrace.commands.replay import BY as REPLAY_BY
 from nptrace.commands.time import BY
 from rtrace.checks import hard_cases
 
@@ -41,6 +42,7 @@ def headings_and_keys(tmp_path_factory):
                 (cli.nptrace, "info", "--traces", traces),
                 (cli.nptrace, "check", "blob", *SMALL, "--random", 50), (cli.npcache, "table1", "--traces", traces),
                 (cli.npcache, "replay", "--traces", traces, *CACHES, "--3c"),
+                *((cli.npcache, "replay", "--traces", traces, "--size", "1K", "--by", by) for by in REPLAY_BY),
                 (cli.npcache, "time", traces / "bunny-standin-bvh-16x16", *CLOCKED),
                 *((cli.npcache, "time", traces / "bunny-standin-bvh-16x16", *CLOCKED, "--by", by) for by in BY),
                 (cli.npcache, "compare", traces / "bunny-standin-bvh-16x16", *CLOCKED),

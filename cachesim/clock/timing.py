@@ -191,7 +191,7 @@ def time_run(
     policies = [parse_prefetch(each) if isinstance(each, str) else each for each in prefetches]
     policies = [parse_prefetch("stack") if each.kind == "traced" else each for each in policies]  # the same requests, timed
     stretches = Stretches(source)
-    _check(configs, clocks, stretches.n_rays)
+    check(configs, clocks, stretches.n_rays)
     none = parse_prefetch("none")
     wanted = [(config, clock, prefetch) for config, clock in product(configs, clocks) for prefetch in (none, *policies)]
     workshop = Workshop(source, threads or os.cpu_count() or 1, progress, by)
@@ -211,7 +211,8 @@ def time_run(
     return results
 
 
-def _check(configs: Sequence[CacheConfig], clocks: Sequence[Clock], n_rays: int) -> None:
+def check(configs: Sequence[CacheConfig], clocks: Sequence[Clock], n_rays: int) -> None:
+    """Raise NptraceError for a cache or a clock that a run of so many rays cannot be timed with."""
     for config in configs:
         if config.policy == "opt":
             raise NptraceError("opt has to know the order of all accesses, which the clock decides; use lru, fifo or random")

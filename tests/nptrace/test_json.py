@@ -20,6 +20,7 @@ COMMANDS = {
     "check": "nptrace check ball.obj --pixels 16x16 --random 50",
     "hard_check": "nptrace check --hard",
     "replay": "npcache replay traces/bunny-bvh empty.din --size 1K,2K --policy lru,random --prefetch none,traced",
+    "replay_by": "npcache replay traces/bunny-bvh --size 1K --by node --3c --prefetch none,traced",
     "sweep": "npcache sweep traces/bunny-kdtree empty.din --size 1K --ways 1,full",
     "time": "npcache time traces/bunny-bvh --size 1K --assoc 1 --rays 1,4 --policy random",
     "time_by": "npcache time traces/bunny-bvh --size 1K --assoc 1 --by slot",
@@ -58,4 +59,8 @@ def test_every_command_with_json_is_in_the_schema():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     commands = [command for group in (cli.nptrace, cli.npcache) for command in map(group.commands.get, group.commands)]
     names = {command.name for command in commands if any("--json" in param.opts for param in command.params)}
-    assert names | {"hard_check", "time_by"} == set(COMMANDS) == {ref["$ref"].rpartition("/")[2] for ref in SCHEMA["anyOf"]}
+    assert (
+        names | {"hard_check", "time_by", "replay_by"}
+        == set(COMMANDS)
+        == {ref["$ref"].rpartition("/")[2] for ref in SCHEMA["anyOf"]}
+    )

@@ -54,8 +54,9 @@ WRITERS = {
     "sweep": (cli.npcache, SWEEP, b"run,path,scene"),
     "plot": (cli.npcache, [*SWEEP[:-1], "--plot"], b"\x89PNG"),
     "table1": (cli.npcache, ["table1", "--format", "csv", "-o"], b"run,path,scene"),
+    "view": (cli.nptrace, ["view", "traces/one-bvh", "-o"], b"\x89PNG"),
 }
-ENDING = {"plot": ".png", "sweep": ".csv"}
+ENDING = {"plot": ".png", "sweep": ".csv", "view": ".png"}
 
 
 @pytest.fixture(params=WRITERS)

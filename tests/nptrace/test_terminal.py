@@ -32,6 +32,8 @@ COMMANDS = [
     "npcache replay traces/bunny-bvh --size 1K,2K --assoc 1,2",
     "npcache replay traces/bunny-kdtree other/bunny-kdtree --size 1K --3c",
     "npcache replay --size 1K --prefetch none,stack:tris*2 --layout veb",
+    "npcache replay traces/bunny-bvh --size 1K --by level",
+    "npcache replay traces/bunny-bvh --size 1K --by pixel --prefetch none,traced",
     "npcache sweep --size 1K..2K --ways 1,2 --format table",
     "npcache time traces/bunny-bvh --size 1K --assoc 1 --rays 1,4",
     "npcache time traces/bunny-bvh --size 1K --assoc 1 --by level",

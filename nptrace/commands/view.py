@@ -1,0 +1,195 @@
+"""nptrace view: the picture of runs, enlarged, or heat maps of what their pixels cost."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nptrace.clock_options import SOURCES, Machines, machine_options
+from nptrace.groups import BadInput, Command
+from nptrace.options import ListOf, merged, threads_option
+from nptrace.output import output_option
+from nptrace.progress import Progress, done
+from nptrace.sources import LAYOUT_HELP, prefetch_help
+from nptrace_base.errors import NptraceError
+
+if TYPE_CHECKING:
+    from cachesim.heat import HeatMaps, Setting
+    from cachesim.report.heat_figure import Panel, Sheet
+    from traces.reader import Run
+
+#: What can be shown: ``cachesim.heat.KINDS``, which takes long to import, and the picture itself.
+KINDS = (
+    "picture", "accesses", "prefetches", "misses", "misses-without", "saved", "useful", "useless", "pollution",
+    "miss-cycles", "late-cycles",
+)  # fmt: skip
+
+
+def parse_kind(text: str) -> str:
+    """Return a kind of heat map."""
+    if text.strip() not in KINDS:
+        raise NptraceError(f"{text!r} is no kind of heat map; choose from {', '.join(KINDS)}")
+    return text.strip()
+
+
+@click.command(cls=Command, epilog=SOURCES)
+@click.argument("sources", metavar="RUN...", nargs=-1, type=click.Path(path_type=Path))
+@click.option(
+    "--heat", "kinds", type=ListOf("KINDS", parse_kind), metavar="KINDS", multiple=True, callback=merged,
+    help=f"Show numbers per pixel as colours: {', '.join(KINDS)}. misses to pollution are of a cache, cycles of a machine.",
+)  # fmt: skip
+@click.option("--difference", is_flag=True, help="Show the first run, and each other one minus the first.")
+@click.option("--enlarge", type=click.IntRange(1, 64), metavar="N", help="Dots per pixel of the run, on either side.")
+@machine_options
+@click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=prefetch_help())
+@click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
+@threads_option()
+@output_option("-o", "--output", "path", help="The picture: .png; heat maps also .svg and .pdf; - is stdout.")
+def view(
+    sources: tuple[Path, ...], kinds: list[str], difference: bool, enlarge: int | None, machines: Machines, prefetch: str,
+    layout: str, threads: int, path: Path | None,
+) -> None:  # fmt: skip
+    """Show the pictures of runs, enlarged, or what their pixels cost, as heat maps.
+
+    All runs have one scale for each kind, so that colours can be compared. Without -o the picture is RUN.png or RUN-KIND.png
+    in this folder.
+
+    \b
+    nptrace view traces/bunny-bvh
+    nptrace view traces/bunny-kdtree traces/bunny-bvh --heat accesses
+    nptrace view traces/bunny-bvh --heat picture,misses,saved --size 8K --assoc 2 -o bunny.png
+    nptrace view traces/bunny-kdtree traces/bunny-bvh --heat misses --difference
+    """
+    from cachesim.report.pictures import check_plot, ending_of
+    from nptrace.sources import chosen_sources
+    from traces.reader import find_runs, open_run
+
+    began = time.perf_counter()
+    if not sources:
+        found = find_runs("traces")
+        way = f"for instance nptrace view {found[0]}" if found else "which nptrace render SCENE makes"
+        raise BadInput(f"nptrace view shows the runs that it is given, and none is named; name one, {way}")
+    if len(machines.configs) * len(machines.clocks) > 1:
+        raise BadInput(
+            f"view takes one cache and one machine, and the options ask for {len(machines.configs)} and "
+            f"{len(machines.clocks)}; leave the others out"
+        )
+    runs = [open_run(each) for each in chosen_sources(sources, Path())]
+    if difference:
+        _check_difference(runs, kinds)
+    path = path or _usual_path(runs, kinds)
+    is_plain = len(runs) == 1 and kinds in ([], ["picture"])
+    if is_plain:
+        ending_of(path, [".png"])
+        size = _enlarge(runs[0], path, enlarge)
+    else:
+        check_plot(path)
+        size = _draw(runs, kinds or ["picture"], machines, prefetch, layout, path, difference, enlarge, threads)
+    done(f"{path}: {size[0]} x {size[1]} pixels", began)
+
+
+def _usual_path(runs: "Sequence[Run]", kinds: Sequence[str]) -> Path:
+    """Return the picture's name where -o gives none; a file of that name is kept."""
+    path = Path("-".join([runs[0].path.name if len(runs) == 1 else "runs", *kinds]) + ".png")
+    if path.exists():
+        raise BadInput(f"{path} exists; write -o {path} to replace it, or name another file")
+    return path
+
+
+def _check_difference(runs: "Sequence[Run]", kinds: Sequence[str]) -> None:
+    if len(runs) < 2 or not set(kinds) - {"picture"}:
+        raise BadInput("--difference compares numbers of two runs or more; name them, and a kind with --heat")
+    first, *others = ((run.footer.width, run.footer.height) for run in runs)
+    for run, size in zip(runs[1:], others, strict=True):
+        if size != first:
+            raise BadInput(
+                f"--difference takes pictures of one size, and {runs[0].path} has {first[0]}x{first[1]} pixels, {run.path} "
+                f"{size[0]}x{size[1]}; render one of them again with --pixels"
+            )
+
+
+def _enlarge(run: "Run", path: Path, enlarge: int | None) -> tuple[int, int]:
+    """Write the picture of a run, every pixel as a square."""
+    from PIL import Image
+
+    from cachesim.report.heat_figure import enlargement
+    from nptrace_base.atomic import whole_file
+
+    picture = Image.fromarray(_picture(run))
+    n = enlarge or enlargement([picture.size], 1)
+    large = picture.resize((picture.width * n, picture.height * n), Image.Resampling.NEAREST)
+    with whole_file(path) as temporary:
+        large.save(temporary, format="PNG", optimize=True)
+    return large.size
+
+
+def _draw(
+    runs: "Sequence[Run]", kinds: Sequence[str], machines: Machines, prefetch: str, layout: str, path: Path,
+    difference: bool, enlarge: int | None, threads: int,
+) -> tuple[int, int]:  # fmt: skip
+    """Count what the kinds show, and draw it."""
+    from cachesim.heat import HeatMaps, Setting
+    from cachesim.prefetch import parse_prefetch
+    from cachesim.report import heat_figure
+    from cachesim.source import RunSource
+
+    setting = Setting(machines.configs[0], machines.clocks[0], parse_prefetch(prefetch))
+    maps = [HeatMaps(RunSource(run, layout), setting, threads=threads) for run in runs]
+    with Progress(len(runs)) as bar:
+        sheet = _sheet(runs, maps, kinds, setting, bar, is_difference=difference)
+        bar.phase("draw")
+        panels = [panel for column in sheet.columns for panel in column]
+        n = enlarge or heat_figure.enlargement([panel.values.shape for panel in panels], len(panels))
+        return heat_figure.draw(sheet, path, n)
+
+
+def _sheet(
+    runs: "Sequence[Run]", maps: "Sequence[HeatMaps]", kinds: Sequence[str], setting: "Setting", bar: Progress, *,
+    is_difference: bool,
+) -> "Sheet":  # fmt: skip
+    """Return the panels: a column for each kind, in it one panel for each run."""
+    from cachesim.report.heat_figure import Sheet
+    from traces.identity import labels
+
+    values: dict[str, list] = {kind: [] for kind in kinds}
+    for run, of_run in zip(runs, maps, strict=True):
+        bar.job(of_run.identity.run)
+        for kind in kinds:
+            progress = bar.phase(kind, run.n_accesses)
+            values[kind].append(_picture(run) if kind == "picture" else of_run.values(kind, progress))
+    names = labels(each.identity for each in maps)
+    titles = [names[each.identity] for each in maps]
+    return Sheet([_column(kind, titles, values[kind], setting, is_difference=is_difference) for kind in kinds])
+
+
+def _column(kind: str, titles: list[str], values: list, setting: "Setting", *, is_difference: bool) -> "list[Panel]":
+    """Return the panels of one kind."""
+    from cachesim.heat import KINDS, SIGNED
+    from cachesim.report.heat_figure import Panel, scale_of
+
+    if kind == "picture":
+        return [Panel(title, picture) for title, picture in zip(titles, values, strict=True)]
+    label = ", ".join(filter(None, [f"{KINDS[kind][0]} per pixel", setting.text(kind)]))
+    n_plain = 1 if is_difference else len(values)
+    scale = scale_of(label, values[:n_plain], is_signed=kind in SIGNED)
+    panels = [Panel(title, each, scale) for title, each in zip(titles[:n_plain], values[:n_plain], strict=True)]
+    if is_difference:
+        changes = [each - values[0] for each in values[1:]]
+        scale = scale_of(f"difference: {label}; red: more than {titles[0]}, blue: fewer", changes, is_signed=True)
+        others = [f"{title} \N{MINUS SIGN} {titles[0]}" for title in titles[1:]]
+        panels += [Panel(title, each, scale) for title, each in zip(others, changes, strict=True)]
+    return panels
+
+
+def _picture(run: "Run") -> Any:
+    """Return the picture of a run, (height, width, 3) uint8."""
+    import numpy as np
+    from PIL import Image
+
+    try:
+        with Image.open(run.path / "image.png") as picture:
+            return np.asarray(picture.convert("RGB"))
+    except (OSError, SyntaxError) as e:  # Pillow's errors of what is no PNG
+        raise BadInput(f"{run.path / 'image.png'} is no picture ({e}); render the run again") from e
