@@ -5,6 +5,7 @@ from typing import Any
 
 from cachesim.config import format_bytes
 from cachesim.report.table1 import HIT_CYCLES, MISS_CYCLES, NAMES, PAPER_N, TREES, Key, acpr, paper_table
+from cachesim.report.table1_tables import ACPR_NOTE
 from cachesim.sampling.estimate import CONFIDENCE, OF_THE_RUN, QUANTITIES, Cell, Estimated
 from cachesim.sampling.two_phase import Interval
 from nptrace_base.tables import Table, number
@@ -111,7 +112,7 @@ def table1_tables(results: Sequence[tuple[str, str, Estimated]]) -> tuple[list[T
         if lines:
             made.append(Table(title, header, lines, n_left=3, sections=sections, extra=_TABLE1_EXTRA))
     estimated = [result for _, _, result in results]
-    return [*made, _cost(estimated)], [*NOTES, *_reasons(estimated)]
+    return [*made, _cost(estimated)], [*NOTES, ACPR_NOTE, *_reasons(estimated)]
 
 
 def _table1_values(tree: str, cell: Cell) -> dict[str, Interval | None]:

@@ -14,7 +14,13 @@ CLOCKED = "tests/nptrace/test_clock_commands.py"
 PLOTTED = PRINTED + " -k plot"
 TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
 
+VERDICTS = "tests/cachesim/report/test_verdicts.py"
+
 MUTATIONS = [
+    # verdicts
+    Mutation("verdict: p per access of any kind", "cachesim/report/replay_tables.py", "p = [each.prefetch_accesses / each.demand_accesses for", "p = [each.prefetch_accesses / (each.demand_accesses + each.prefetch_accesses) for", VERDICTS),
+    Mutation("verdict: the paper's rate falls by 1 / (1 + p)", "cachesim/report/replay_tables.py", "ratio / (1 + extra) for ratio", "ratio - 1 / (1 + extra) for ratio", VERDICTS),
+    Mutation("verdict: bytes count fills alone", "cachesim/report/replay_tables.py", "traffic = [each.bytes_from_memory / (", "traffic = [each.prefetch_misses * each.config.line_bytes / (", VERDICTS),
     # Borders
     Mutation("border: a batch longer than a chunk is cut", "rtrace/render.py",
              "step = batch * (CHUNK // batch)", "step = CHUNK", BORDERS + " -k never_cut"),
