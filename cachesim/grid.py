@@ -1,6 +1,7 @@
 """Ranges of sizes and numbers of ways -> the LRU caches of a sweep."""
 
 from collections.abc import Sequence
+from itertools import product
 
 from cachesim.config import CacheConfig, format_bytes, parse_bytes, parse_ways
 from nptrace_base.errors import NptraceError
@@ -38,6 +39,31 @@ def parse_ways_range(text: str) -> tuple[str, ...]:
     if numbers[-1] - numbers[0] >= MAX_RANGE:
         raise NptraceError(f"{text!r} names more than {MAX_RANGE} numbers of ways; write e.g. 1..16")
     return tuple(map(str, numbers))
+
+
+def caches(
+    sizes: Sequence[int], ways: Sequence[Sequence[str]], lines: Sequence[int], policies: Sequence[str] = ("lru",),
+    seed: int = 0,
+) -> list[CacheConfig]:  # fmt: skip
+    """Return every combination, each once: by line, policy, size and ways, the last fastest.
+
+    Parameters
+    ----------
+    ways : sequence of sequence of str
+        As ``parse_ways_range`` returns them. Of a range, those that divide a size into whole sets; a single number must.
+
+    Raises
+    ------
+    NptraceError
+        A number of ways, or all of a range, does not divide a size.
+    """
+    configs: list[CacheConfig] = []
+    for line, policy, size, named in product(lines, policies, sizes, ways):
+        numbers = [parse_ways(way, size, line) for way in named]
+        fitting = [n for n in numbers if n > 0 and line > 0 and not size % (n * line)]
+        # With none the first is tried, and the cache says why it cannot be.
+        configs += [CacheConfig(size, n, line, policy, seed) for n in (fitting if len(numbers) > 1 else ()) or numbers[:1]]
+    return list(dict.fromkeys(configs))
 
 
 def grid(sizes: Sequence[tuple[int, int]], ways: Sequence[str], line_bytes: Sequence[int]) -> list[CacheConfig]:

@@ -9,8 +9,9 @@ from typing import Any
 import click
 
 from cachesim.clock.parameters import NUMBERS, PRESETS, Clock, parse_preset
-from cachesim.config import CacheConfig, parse_bytes, parse_ways
-from nptrace.options import ListOf, merged
+from cachesim.config import CacheConfig, parse_bytes
+from cachesim.grid import caches, parse_sizes, parse_ways_range
+from nptrace.options import ListOf, joined, merged
 from nptrace_base.errors import NptraceError
 
 
@@ -34,15 +35,12 @@ def machine_options(function: Callable[..., Any]) -> Any:
 
     @wraps(function)
     def command(
-        machine: str, size: list[int], assoc: list[str], line: list[int], policy: str, seed: int, **kwargs: Any
+        machine: str, size: list[int], ways: list[tuple[str, ...]], line: list[int], policy: str, seed: int, **kwargs: Any
     ) -> Any:  # fmt: skip
         numbers = {name: kwargs.pop(name) for name in NUMBERS}
         usual = parse_preset(machine).cache
-        configs = [
-            CacheConfig(one_size, parse_ways(ways, one_size, one_line), one_line, policy.lower(), seed)
-            for one_line in line or [usual.line_bytes] for one_size in size or [usual.size_bytes]
-            for ways in assoc or ["full" if usual.n_sets == 1 else str(usual.ways)]
-        ]  # fmt: skip
+        usual_ways = [("full" if usual.n_sets == 1 else str(usual.ways),)]
+        configs = caches(size or [usual.size_bytes], ways or usual_ways, line or [usual.line_bytes], [policy.lower()], seed)
         return function(machines=Machines(configs, clocks_of(machine, numbers)), **kwargs)
 
     for name, (meaning, _, _) in reversed(NUMBERS.items()):
@@ -50,17 +48,22 @@ def machine_options(function: Callable[..., Any]) -> Any:
     command = click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")(command)
     command = click.option("--policy", default="lru", show_default=True, help="Replacement: lru, fifo or random.")(command)
     command = _list("--line", parse_bytes, "SIZES", "Line sizes in bytes.")(command)
-    command = _list("--assoc", str, "WAYS", "Associativity: numbers of ways, e.g. 1,2,full.", "--ways")(command)
-    command = _list("--size", parse_bytes, "SIZES", "Cache sizes, e.g. 8K,16K; those of the machine if left out.")(command)
+    command = _list(
+        "--ways", parse_ways_range, "WAYS", "Numbers of ways and ranges, e.g. 1,2,full; those of the machine if left out.",
+        "--assoc",
+    )(command)  # fmt: skip
+    command = _list(
+        "--size", parse_sizes, "SIZES", "Cache sizes and ranges, e.g. 8K,16K; those of the machine if left out.", joins=joined
+    )(command)
     return click.option(
         "--machine", default="paper", show_default=True, type=click.Choice(list(PRESETS)),
         help="Where the numbers below come from that are not given; the list is below. Lists make every combination.",
     )(command)  # fmt: skip
 
 
-def _list(name: str, item: Any, metavar: str, help: str, *others: str) -> Any:
+def _list(name: str, item: Any, metavar: str, help: str, *others: str, joins: Callable[..., Any] = merged) -> Any:
     return click.option(
-        name, *others, type=ListOf(metavar, item), metavar=metavar, multiple=True, callback=merged, help=help
+        name, *others, type=ListOf(metavar, item), metavar=metavar, multiple=True, callback=joins, help=help
     )  # fmt: skip
 
 

@@ -58,6 +58,27 @@ def size_option() -> Any:
     )  # fmt: skip
 
 
+def ways_option() -> Any:
+    """Return the option for the associativity of caches, single numbers of ways or ranges."""
+
+    def parse(text: str) -> tuple[str, ...]:
+        from cachesim.grid import parse_ways_range
+
+        return parse_ways_range(text)
+
+    return list_option(
+        "--ways", "--assoc", item=parse, metavar="WAYS", default="1",
+        help="Associativity: numbers of ways and ranges, e.g. 1,2,full or 1..16.",
+    )  # fmt: skip
+
+
+def policy_option() -> Any:
+    """Return the option for the replacement policies."""
+    return list_option(
+        "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo, random, opt (Belady)."
+    )
+
+
 def threads_option() -> Any:
     """Return the option for the number of threads."""
     return click.option(

@@ -57,10 +57,13 @@ def size_text(n_bytes: float) -> str:
 
 
 class Progress:
-    """The line of progress of a command's ``n_jobs`` jobs, one after the other, as a context manager."""
+    """The line of progress of a command's ``n_jobs`` jobs, one after the other, as a context manager.
 
-    def __init__(self, n_jobs: int) -> None:
-        self._n_jobs, self._number, self._job = n_jobs, 0, ""
+    ``n_done`` adds up the amounts of all phases, also where nothing is shown.
+    """
+
+    def __init__(self, n_jobs: int = 1) -> None:
+        self._n_jobs, self._number, self._job, self.n_done = n_jobs, 0, "", 0
         self.bar: Any = None
         self._task: Any = None
         self._compiling: Any = None
@@ -96,12 +99,20 @@ class Progress:
     def phase(self, what: str, total: int | None = None) -> Callable[[int], None]:
         """Begin a phase of the job; return a function to call with the amount done, of ``total`` if that is known."""
         if not self.bar:
-            return lambda n: None
+            return self._count
         number = f"[{self._number}/{self._n_jobs}] " if self._n_jobs > 1 else ""
         if self._task is not None:
             self.bar.remove_task(self._task)
         task = self._task = self.bar.add_task(f"{number}{self._job}" + (f": {what}" if what else ""), total=total)
-        return lambda n: self.bar.advance(task, n)
+
+        def advance(n: int) -> None:
+            self._count(n)
+            self.bar.advance(task, n)
+
+        return advance
+
+    def _count(self, n: int) -> None:
+        self.n_done += n
 
     def on_compiling(self, n_compiled: int, is_busy: bool) -> None:
         """Show how many kernels were begun, while one is being compiled."""
@@ -117,15 +128,3 @@ class Progress:
             self._compiling = self.bar.add_task(text, total=None)
         else:
             self.bar.update(self._compiling, description=text)
-
-
-class Counted:
-    """Passes amounts on to a function, and adds them up in ``n``."""
-
-    def __init__(self, advance: Callable[[int], object]) -> None:
-        self._advance, self.n = advance, 0
-
-    def __call__(self, n: int) -> None:
-        """Take an amount."""
-        self.n += n
-        self._advance(n)

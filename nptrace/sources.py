@@ -1,6 +1,7 @@
 """Options that choose what is replayed, shared by the commands of npcache."""
 
 import os
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -50,6 +51,16 @@ def _runs_in(folder: Path) -> list[Path]:
     from traces.reader import find_runs
 
     return [] if any((folder / name).exists() for name in FILES) else find_runs(folder)
+
+
+def again(sources: Sequence[Path], folder: Path, *, needs_run: bool = False) -> str:
+    """Return the words, and a blank, with which another command reads the same runs: for the last line of a command."""
+    from traces.format import printable
+
+    named = [source for source in sources if str(source) != "-" and (source.is_dir() or not needs_run)]
+    if sources:
+        return "".join(f"{shlex.quote(printable(str(source)))} " for source in named[:3])
+    return "" if str(folder) == "traces" else f"--traces {shlex.quote(printable(str(folder)))} "
 
 
 def traces_option() -> Any:

@@ -54,6 +54,12 @@ def percent(value: float | None, decimals: int = 2) -> str:
     return number(None if value is None else 100 * value, decimals)
 
 
+def span(values: Sequence[float], decimals: int = 1, *, sign: bool = False) -> str:
+    """Return the least and the most of some numbers, such as ``-3.7 to +0.5``; one number if these print alike."""
+    low, high = (number(end, decimals, sign=sign) for end in (min(values), max(values)))
+    return low if low == high else f"{low} to {high}"
+
+
 def width_of(file: TextIO) -> int | None:
     """Return the columns of a terminal; None for a pipe or a file, which has no width."""
     from rich.console import Console

@@ -5,6 +5,7 @@ from typing import Any
 
 from cachesim.config import format_bytes
 from cachesim.report.table1 import HIT_CYCLES, MISS_CYCLES, NAMES, PAPER_N, TREES, Key, acpr, paper_table
+from cachesim.report.table1_tables import ACPR_NOTE
 from cachesim.sampling.estimate import CONFIDENCE, OF_THE_RUN, QUANTITIES, Cell, Estimated
 from cachesim.sampling.two_phase import Interval
 from nptrace_base.tables import Table, number
@@ -58,16 +59,21 @@ def tables(results: Sequence[Estimated]) -> tuple[list[Table], list[str]]:
                 row.append(_value(cell.values[name], scale, decimals))
             rows.append(row)
         header = ["cache", "method", *_COLUMNS.values()]
-        made.append(Table(names[result.identity], header, rows, n_left=2, extra=_EXTRA))
+        made.append(Table(names[result.identity] + _layout(result), header, rows, n_left=2, extra=_EXTRA))
     return [*made, _cost(results)], [*NOTES, *_reasons(results)]
+
+
+def _layout(result: Estimated) -> str:
+    return "" if result.layout == "stored" else f", layout {result.layout}"
 
 
 def _cost(results: Sequence[Estimated]) -> Table:
     names = labels(result.identity for result in results)
     header = ["run", "target", "units", "sampled", "rays\ntraced %", "seconds", "exact run,\nseconds", "accesses\nper ray"]
     rows = [
-        [names[r.identity], r.target, number(r.n_units), number(r.n_sampled), number(100 * r.share, 1), number(r.seconds, 2),
-         ("" if r.method == "exact" else "about ") + number(r.exact_seconds, 2), _value(r.accesses_per_ray, 1.0, 2)]
+        [names[r.identity] + _layout(r), r.target, number(r.n_units), number(r.n_sampled), number(100 * r.share, 1),
+         number(r.seconds, 2), ("" if r.method == "exact" else "about ") + number(r.exact_seconds, 2),
+         _value(r.accesses_per_ray, 1.0, 2)]
         for r in results
     ]  # fmt: skip
     return Table("cost", header, rows, n_left=2, extra=_COST_EXTRA)
@@ -111,7 +117,7 @@ def table1_tables(results: Sequence[tuple[str, str, Estimated]]) -> tuple[list[T
         if lines:
             made.append(Table(title, header, lines, n_left=3, sections=sections, extra=_TABLE1_EXTRA))
     estimated = [result for _, _, result in results]
-    return [*made, _cost(estimated)], [*NOTES, *_reasons(estimated)]
+    return [*made, _cost(estimated)], [*NOTES, ACPR_NOTE, *_reasons(estimated)]
 
 
 def _table1_values(tree: str, cell: Cell) -> dict[str, Interval | None]:

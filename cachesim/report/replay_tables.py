@@ -6,7 +6,7 @@ from itertools import groupby
 from cachesim.access import PREFETCH
 from cachesim.report.dinero import dinero_block
 from cachesim.result import Result
-from nptrace_base.tables import Table, number, percent
+from nptrace_base.tables import Table, number, percent, span
 from traces.identity import RunIdentity, labels
 
 #: What the rates of a replay and of a sweep are.
@@ -49,7 +49,36 @@ def tables(results: Sequence[Result]) -> tuple[list[Table], list[str]]:
         notes.append(_3C_NOTE)
     if any(result.prefetch_accesses for result in results):
         notes += _PREFETCH_NOTES
-    return made, notes
+    return made, [*notes, *verdict(results)]
+
+
+def verdict(results: Sequence[Result]) -> list[str]:
+    """Return what the numbers say of each prefetch policy, in a sentence made from them.
+
+    The paper's miss rate of B is, exactly, that of A x bytes from memory B/A / (1 + p): p prefetches per demand access count
+    as accesses, and lower the rate even where no byte less is read.
+    """
+    found = []
+    for policy in dict.fromkeys(each.prefetch for each in results):
+        of_policy = (each for each in results if each.prefetch == policy)
+        members = [each for each in of_policy if each.prefetch_accesses and each.demand_misses_without]
+        if not members:
+            continue
+        p = [each.prefetch_accesses / each.demand_accesses for each in members]
+        traffic = [each.bytes_from_memory / (each.demand_misses_without * each.config.line_bytes) for each in members]
+        demand = _changes([each.demand_misses / each.demand_misses_without for each in members])
+        paper = _changes([ratio / (1 + extra) for ratio, extra in zip(traffic, p, strict=True)])
+        alone = span([100 / (1 + extra) for extra in p])
+        found.append(
+            f"{policy}, with prefetching (B) against without (A): demand misses change by {demand} %, bytes from memory by "
+            f"{_changes(traffic)} %. The paper's miss rate changes by {paper} %, because p = {span(p, 3)} prefetches per "
+            f"demand access count as accesses: they alone lower it to 1 / (1 + p) of A, {alone} %."
+        )
+    return found
+
+
+def _changes(ratios: Sequence[float]) -> str:
+    return span([100 * (ratio - 1) for ratio in ratios], sign=True)
 
 
 def _source(result: Result, names: Mapping[RunIdentity, str]) -> str:

@@ -16,6 +16,7 @@ from cachesim.clock.timing import Timing, time_run
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.result import Result, ratio
+from cachesim.source import as_source
 from nptrace_base.errors import NptraceError
 from traces.identity import STAND_IN, RunIdentity
 from traces.reader import Run
@@ -124,16 +125,22 @@ def missing(chosen: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
 
 
 def table1(
-    chosen: Mapping[tuple[str, str], Run], *, threads: int | None = None, progress: Callable[[int], None] | None = None
-) -> list[Table1Row]:
-    """Return the rows of Table I for the runs that ``choose_runs`` found, in the paper's order."""
+    chosen: Mapping[tuple[str, str], Run], *, policy: str = "lru", layout: str = "stored", threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> list[Table1Row]:  # fmt: skip
+    """Return the rows of Table I for the runs that ``choose_runs`` found, in the paper's order.
+
+    ``policy`` is the caches' replacement, which the clock must know too (lru, fifo or random), and ``layout`` that of the
+    nodes; the paper's numbers beside them are of LRU and its own layout.
+    """
     paper = paper_table()
     rows = []
     for (tree, scene), run in sorted(chosen.items(), key=lambda item: (list(TREES).index(item[0][0]), item[0][1])):
         keys = [key for key in paper if key[:2] == (tree, scene)]
-        configs = [CacheConfig(size, ways, 32) for _, _, size, ways in keys]
-        results = replay(run, configs, threads=threads, progress=progress)
-        timings = time_run(run, configs, [PRESETS["paper"].clock], threads=threads, progress=progress)
+        configs = [CacheConfig(size, ways, 32, policy) for _, _, size, ways in keys]
+        source = as_source(run, layout)
+        results = replay(source, configs, threads=threads, progress=progress)
+        timings = time_run(source, configs, [PRESETS["paper"].clock], threads=threads, progress=progress)
         for key, result, timing in zip(keys, results, timings, strict=True):
             rows.append(_row(key, result, timing, paper[key]))
     return rows
@@ -189,6 +196,7 @@ def to_dicts(rows: Iterable[Table1Row]) -> list[dict[str, Any]]:
 
 def _record(row: Table1Row) -> dict[str, Any]:
     values: dict[str, Any] = {**row.identity.to_dict(), "scene": row.scene, "size_bytes": row.size_bytes, "ways": row.ways}
+    values |= {"policy": row.timing.config.policy, "layout": row.timing.layout}
     for name, (column, by) in _RECORD.items():
         values[column] = _divided(row.ours[name], by, column)
         if name in NAMES:

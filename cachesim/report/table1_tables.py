@@ -6,7 +6,7 @@ from itertools import pairwise
 from cachesim.clock.parameters import Clock
 from cachesim.config import format_bytes
 from cachesim.report.table1 import NAMES, PAPER_N, TREES, Table1Row
-from nptrace_base.tables import Table, number
+from nptrace_base.tables import Table, number, span
 
 _HEADER = (
     ["Scene", "Cache", ""]
@@ -18,14 +18,19 @@ _EXTRA = ("accu-\nracy", "cover-\nage", "ACPR\nA", "ACPR\nB", "KB\nA", "KB\nB")
 _DECIMALS = {"miss_a": 1, "miss_b": 1, "kb_a": 0, "kb_b": 0}
 _DEMAND = ("demand_miss_a", "demand_miss_b", "demand_ratio", "coverage", "accuracy")
 
+#: What ACPR is, below every table that has it.
+ACPR_NOTE = (
+    "ACPR: average cycles per ray for node accesses, the paper's equation 1: N ((1 - R) 1 + R 100) with its miss rate R and "
+    f"its N: {PAPER_N['kdtree']:.2f} (kd-tree), {PAPER_N['bvh']:.2f} (BVH)."
+)
+
 NOTES = (
     "A: without, B: with prefetching; rates and B/A in %. miss, KB and ACPR are the paper's metric, which counts "
     "prefetches as accesses: miss = all misses / all accesses (demand + prefetch), KB = all lines filled. "
     "diff = ours - paper.",
     "The demand metric leaves prefetches out: demand = demand misses / demand accesses; coverage = 1 - demand misses B / A; "
     "accuracy = useful / filled prefetches.",
-    f"ACPR = N ((1 - R) 1 + R 100) with the paper's miss rate R and its N: {PAPER_N['kdtree']:.2f} (kd-tree), "
-    f"{PAPER_N['bvh']:.2f} (BVH).",
+    ACPR_NOTE,
 )  # fmt: skip
 
 
@@ -40,7 +45,11 @@ def notes(rows: Sequence[Table1Row]) -> list[str]:
     stand_ins = [] if not any(row.is_stand_in for row in rows) else [
         "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
     ]  # fmt: skip
-    return [*NOTES, *stand_ins, *verdict(rows)]
+    policy, layout = rows[0].timing.config.policy, rows[0].timing.layout
+    other = [] if (policy, layout) == ("lru", "stored") else [
+        f"Ours with {policy} replacement and the layout {layout}; the paper's, whose caches are LRU, are what they are."
+    ]  # fmt: skip
+    return [*NOTES, *stand_ins, *other, *verdict(rows)]
 
 
 def _tree_table(title: str, rows: Sequence[Table1Row]) -> Table:
@@ -113,16 +122,10 @@ def verdict(rows: Sequence[Table1Row]) -> list[str]:
             time = [100 - 100 / row.timing.speed_up for row in members if row.timing.speed_up]
             found.append(
                 f"{title}: the paper's miss rate changes by {paper} %, because its prefetches count as accesses; demand "
-                f"misses change by {demand} %; the time of a ray by {_range([-value for value in time])} %."
+                f"misses change by {demand} %; the time of a ray by {span([-value for value in time], sign=True)} %."
             )
     return found
 
 
 def _fall(ratios: Sequence[float | None]) -> str:
-    return _range([value - 100 for value in ratios if value is not None])
-
-
-def _range(values: Sequence[float]) -> str:
-    """Return the least and the most of some changes."""
-    low, high = f"{min(values):+.1f}", f"{max(values):+.1f}"
-    return low if low == high else f"{low} to {high}"
+    return span([value - 100 for value in ratios if value is not None], sign=True)

@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cachesim.config import CacheConfig
+from cachesim.layout import Layout
 from cachesim.sampling.quantities import OF_THE_RUN, QUANTITIES, place_of, ratios_of
 from cachesim.sampling.sampler import Sampler
 from cachesim.sampling.strata import Design, weights
@@ -85,6 +86,7 @@ class Estimated:
     exact_seconds: float
     seed: int
     target: str
+    layout: str = "stored"
     flags: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
@@ -94,8 +96,8 @@ class Estimated:
             return None if value is None else {"value": value.value, "half_width": value.half, "unsettled": value.bracket}
 
         return {
-            **self.identity.to_dict(), "method": self.method, "reason": self.reason, "target": self.target,
-            "confidence": CONFIDENCE, "seed": self.seed,
+            **self.identity.to_dict(), "layout": self.layout, "method": self.method, "reason": self.reason,
+            "target": self.target, "confidence": CONFIDENCE, "seed": self.seed,
             "units": self.n_units, "units_sampled": self.n_sampled, "share_of_rays": self.share,
             "seconds": self.seconds, "exact_seconds": self.exact_seconds, "flags": self.flags,
             "accesses_per_ray": interval(self.accesses_per_ray),
@@ -115,6 +117,7 @@ def estimate(
     configs: Sequence[CacheConfig],
     target: Target,
     *,
+    layout: Layout | str = "stored",
     seed: int = 0,
     threads: int | None = None,
     exact_below: float = EXACT_BELOW,
@@ -129,6 +132,8 @@ def estimate(
         A run that can be traced from anywhere; its prefetches are those of B.
     configs : sequence of CacheConfig
         LRU, of one line size.
+    layout : Layout or str
+        Where the nodes lie.
     seed : int
         Determines which units are sampled.
     threads : int, optional
@@ -140,7 +145,7 @@ def estimate(
     progress : callable
         Called with the number of positions done.
     """
-    counts = UnitCounts(source, configs, threads)
+    counts = UnitCounts(source, configs, threads, layout)
     if resume is not None:
         counts.load(resume)
     call = _Call(source, configs, target, seed, counts, time.perf_counter())
@@ -202,5 +207,6 @@ def _result(
     return Estimated(
         call.source.identity, method, reason, cells, per_ray, per_access,
         n_units=call.counts.n_units, n_sampled=n_sampled, share=call.counts.n_traced / call.source.n_positions,
-        seconds=seconds, exact_seconds=exact_seconds, seed=call.seed, target=str(call.target), flags=list(flags),
+        seconds=seconds, exact_seconds=exact_seconds, seed=call.seed, target=str(call.target),
+        layout=str(call.counts.layout), flags=list(flags),
     )  # fmt: skip

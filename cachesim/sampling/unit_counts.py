@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from cachesim.config import CacheConfig
-from cachesim.layout import addresses
+from cachesim.layout import Layout, addresses, parse_layout
 from cachesim.lines import NodeLines
 from cachesim.prefetch import KIND_PREFETCH, REQUEST
 from cachesim.sampling import resume_file
@@ -126,18 +126,23 @@ class UnitCounts:
     n_units : int
     row, n_positions : int
         The source's.
+    layout : Layout
+        Where the nodes lie.
     work : Work
         What counting units took, in all.
     """
 
-    def __init__(self, source: UnitSource, configs: Sequence[CacheConfig], threads: int | None = None) -> None:
+    def __init__(
+        self, source: UnitSource, configs: Sequence[CacheConfig], threads: int | None = None, layout: Layout | str = "stored"
+    ) -> None:
         if not configs:
             raise NptraceError("no cache to estimate; name at least one, e.g. --size 8K --assoc 2")
         check_lru(configs)
         self._source, self._configs, self._threads = source, list(configs), threads or os.cpu_count() or 1
         self._enough = ACCESSES_PER_LINE * max(config.n_lines for config in configs)
+        self.layout = parse_layout(layout) if isinstance(layout, str) else layout
         self._lines = NodeLines(
-            addresses(source.nodes, source.node_bytes, "stored", source.reads_leaves), source.node_bytes,
+            addresses(source.nodes, source.node_bytes, self.layout, source.reads_leaves), source.node_bytes,
             configs[0].line_bytes, 0,
         )  # fmt: skip
         unit = -(-source.unit // source.grain) * source.grain
@@ -304,8 +309,9 @@ class UnitCounts:
         return self.work.seconds_of(n_accesses, self.n_positions / _CHUNK)
 
     def _key(self) -> str:
+        moved = [] if self.layout == Layout("stored") else [str(self.layout)]
         facts = "\n".join(
-            [self._source.key, *map(repr, self._configs), str((SHORT, ACCESSES_PER_LINE)), str(self._starts[:2])]
+            [self._source.key, *moved, *map(repr, self._configs), str((SHORT, ACCESSES_PER_LINE)), str(self._starts[:2])]
         )
         return hashlib.sha256(facts.encode()).hexdigest()
 

@@ -1,12 +1,15 @@
 """nptrace check: our hits against Embree's, and the catalogue of hard cases."""
 
 import math
+import shlex
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from nptrace.groups import BadInput, Command
+from nptrace.options import threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
@@ -21,12 +24,13 @@ if TYPE_CHECKING:
 @click.option("--long", "is_long", is_flag=True, help="With --hard: run the long form, which takes minutes.")
 @click.option("--pixels", default="256x256", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
 @click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="How many random rays.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of the random rays.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the random rays.")
+@threads_option()
 @scene_options
 @results_options()
 def check(
-    names: tuple[str, ...], hard: bool, is_long: bool, pixels: str, n_random: int, seed: int, strict: bool, offline: bool,
-    output: Output,
+    names: tuple[str, ...], hard: bool, is_long: bool, pixels: str, n_random: int, seed: int, threads: int, strict: bool,
+    offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Compare both trees with Embree on camera, shadow and random rays; exit with status 1 if a limit is exceeded.
 
@@ -35,10 +39,14 @@ def check(
     nptrace check model.ply --random 1000000
     nptrace check --hard
     """
+    from nptrace_base.pools import thread_pool
     from rtrace.camera import parse_size
+    from traces.format import printable
 
     if not names and not hard:
         raise BadInput("name a scene to compare with Embree, or give --hard")
+    if names and hard:
+        raise BadInput(f"--hard brings its own scenes, and its rows are not those of {names[0]}; run one at a time")
     width, height = parse_size(pixels)
     began = time.perf_counter()
     rows: list[dict[str, Any]] = []
@@ -47,7 +55,7 @@ def check(
 
         with Progress(1) as bar:
             bar.job("hard cases")
-            for row in run_all(is_long):
+            for row in run_all(is_long, threads):
                 bar.phase(f"{row.case}, {row.structure}")
                 rows.append({**row._asdict(), "is_good": row.is_good})
     if names:
@@ -59,14 +67,17 @@ def check(
             for scene in scenes:
                 bar.job(scene.label)
                 bar.phase("build")
-                trees = [cached_tree(scene, kind) for kind in TREES]
+                with thread_pool(threads) as pool:
+                    trees = list(pool.map(partial(cached_tree, scene), TREES))
                 bar.phase("compare with Embree")
-                compared = compare(trees, scene, width, height, n_random, seed)
+                compared = compare(trees, scene, width, height, n_random, seed, threads)
                 of = {"scene": scene.name, "stand_in": scene.stand_in, "width": width, "height": height, "seed": seed}
                 rows += [{**of, **row._asdict(), "is_good": row.is_good} for row in compared]
     n_bad = sum(not row["is_good"] for row in rows)
     output.write(rows, lambda: (tables_of(rows), [f"{len(rows)} comparisons, {n_bad} beyond their limit."]))
-    done(f"{len(rows)} comparisons, {sum(row['n_rays'] for row in rows):,} rays", began)
+    words = " ".join(shlex.quote(printable(name)) for name in names[:3])
+    following = f"nptrace render {words}" if names else "nptrace check sponza"
+    done(f"{len(rows)} comparisons, {sum(row['n_rays'] for row in rows):,} rays", began, following)
     if n_bad:
         raise SystemExit(1)
 

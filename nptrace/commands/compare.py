@@ -2,7 +2,6 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -12,9 +11,6 @@ from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, chosen_sources, policies, traces_option
-
-if TYPE_CHECKING:
-    from cachesim.clock.compare import Compared
 
 
 @click.command(
@@ -44,11 +40,9 @@ def compare(
     npcache compare --machine rtx2060 --no-baselines --json
     npcache compare traces/bunny-bvh --size 16K --assoc 2 --rays 4 --plot compare.png
     """
-    from cachesim.clock.compare import compare as compare_run
-    from cachesim.clock.compare import usual_policies
     from cachesim.report import compare_tables
     from cachesim.report.pictures import check_plot
-    from traces.reader import open_run
+    from nptrace.studies import compared
 
     if len(machines.configs) * len(machines.clocks) > 1:
         raise BadInput(
@@ -57,20 +51,14 @@ def compare(
         )
     if picture is not None:
         check_plot(picture)
-    names = [name for text in prefetch for name in (usual_policies() if text == "all" else [text])]
-    rows: list[Compared] = []
     paths, began = chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths)) as bar:
-        for path in paths:
-            run = open_run(path)
-            bar.job(run.name)
-            rows += compare_run(
-                run, machines.configs[0], machines.clocks[0], layout=layout, prefetches=names, has_baselines=baselines,
-                threads=threads, progress=bar.phase("compare"),
-            )  # fmt: skip
+        rows = compared(
+            paths, machines.configs[0], machines.clocks[0], prefetch, layout, bar, baselines=baselines, threads=threads
+        )  # fmt: skip
         if picture is not None:
             bar.phase("plot")
             compare_tables.plot(rows, picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
-    done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began)
+    done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began, "npcache table1")

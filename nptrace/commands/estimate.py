@@ -1,19 +1,23 @@
 """npcache estimate: miss rates of a large picture from part of its rays."""
 
+import shlex
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from cachesim.config import CacheConfig, parse_bytes, parse_ways
+from cachesim.config import CacheConfig, parse_bytes
 from nptrace.groups import BadInput
-from nptrace.options import list_option, size_option
+from nptrace.options import list_option, size_option, ways_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import Picture, accel_option, load_scenes, picture_options, tree_params
+from nptrace.sources import LAYOUT_HELP
 
 if TYPE_CHECKING:
     from cachesim.sampling.estimate import Estimated
@@ -23,27 +27,28 @@ if TYPE_CHECKING:
 
 def estimate_scenes(
     scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", picture: Picture,
-    resume: Path | None = None,
+    layouts: Sequence[str] = ("stored",), resume: Path | None = None,
 ) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
-    """Estimate every scene with every tree (both if ``accel`` is empty); return (tree, scene, result) of each."""
+    """Estimate every scene with every tree (both if ``accel`` is empty) and layout; return (tree, scene, result) of each."""
     from cachesim.sampling.estimate import estimate as estimate_source
     from rtrace.ray_source import RayUnits
     from rtrace.trees.tree_cache import cached_tree
 
     shooting = picture.shooting()
     params = tree_params(accel, picture.kd_text, picture.bvh_text, picture.bvh_nodes)
-    if resume is not None and len(scenes) * len(params) > 1:
-        raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE and one --accel")
+    n_jobs = len(scenes) * len(params) * len(layouts)
+    if resume is not None and n_jobs > 1:
+        raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE, one --accel and one --layout")
     found = []
-    with Progress(len(scenes) * len(params)) as bar:
+    with Progress(n_jobs) as bar:
         for scene in scenes:
-            for kind, given in params.items():
+            for (kind, given), layout in product(params.items(), layouts):
                 bar.job(f"{scene.label} {kind}")
                 bar.phase("build")
                 source = RayUnits(scene, cached_tree(scene, kind, **given), shooting)
                 result = estimate_source(
-                    source, configs, target, seed=picture.seed, threads=picture.threads, exact_below=picture.exact_below,
-                    resume=resume, progress=bar.phase("estimate", None),
+                    source, configs, target, layout=layout, seed=picture.seed, threads=picture.threads,
+                    exact_below=picture.exact_below, resume=resume, progress=bar.phase("estimate", None),
                 )  # fmt: skip
                 found.append((kind, scene, result))
     return found
@@ -53,8 +58,10 @@ def estimate_scenes(
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
 @accel_option()
 @size_option()
-@list_option("--assoc", "--ways", item=str, metavar="WAYS", default="1", help="Associativity: numbers of ways, e.g. 1,2,full.")
-@click.option("--line", type=str, default="32", show_default=True, metavar="SIZE", help="Line size in bytes.")
+@ways_option()
+@list_option("--line", item=parse_bytes, metavar="SIZE", default="32", help="Line size in bytes; one at a time.")
+@list_option("--policy", item=str.lower, metavar="POLICY", default="lru", help="Replacement: lru alone can be estimated.")
+@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option("--table1", "is_table1", is_flag=True, help="Use the four caches of Table I instead of --size and --assoc.")
 @click.option(
     "--target-error", "error", default="2%,0.05pp", show_default=True, metavar="ERROR",
@@ -64,8 +71,9 @@ def estimate_scenes(
 @output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
 @results_options()
 def estimate(
-    names: tuple[str, ...], accel: list[str], size: list[int], assoc: list[str], line: str, is_table1: bool, error: str,
-    resume: Path | None, output: Output, strict: bool, offline: bool, camera: str | None, light: str | None, **picture: Any,
+    names: tuple[str, ...], accel: list[str], size: list[int], ways: list[tuple[str, ...]], line: list[int],
+    policy: list[str], layout: list[str], is_table1: bool, error: str, resume: Path | None, output: Output, strict: bool,
+    offline: bool, camera: str | None, light: str | None, **picture: Any,
 ) -> None:  # fmt: skip
     """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.
 
@@ -76,18 +84,25 @@ def estimate(
     npcache estimate sponza --table1
     npcache estimate model.obj --size 16K,64K --assoc 2,8 --target-error 5% --pixels 4096x4096 --accel bvh
     """
-    from cachesim.report import estimate_tables
-    from cachesim.report.table1 import caches
+    from cachesim.grid import caches
+    from cachesim.layout import parse_layout
+    from cachesim.report import estimate_tables, table1
+    from cachesim.sampling.cold_start import check_lru
     from cachesim.sampling.target import parse_target
+    from traces.format import printable
 
     target, began = parse_target(error), time.perf_counter()
-    configs = caches() if is_table1 else [
-        CacheConfig(one_size, parse_ways(ways, one_size, parse_bytes(line)), parse_bytes(line))
-        for one_size in size for ways in assoc
-    ]  # fmt: skip
+    layouts = list(dict.fromkeys(str(parse_layout(text)) for text in layout))
+    if is_table1:
+        configs = [replace(each, policy=one) for one in policy for each in table1.caches()]
+    else:
+        configs = caches(size, ways, line, policy)
+    check_lru(configs)
     scenes = load_scenes(names, strict, offline, [camera] if camera else [], light)
-    found = estimate_scenes(scenes, accel, configs, target, Picture(**picture), resume)
+    found = estimate_scenes(scenes, accel, configs, target, Picture(**picture), layouts, resume)
     results = [result for _, _, result in found]
     output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))
     methods = ", ".join(f"{n} {method}" for method, n in Counter(result.method for result in results).items())
-    done(f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches", began)
+    words = " ".join(shlex.quote(printable(name)) for name in names[:3])
+    what = f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches"
+    done(what, began, f"nptrace render {words} --pixels {picture['pixels']}")

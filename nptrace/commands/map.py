@@ -11,6 +11,7 @@ from nptrace.options import threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
+from nptrace.sources import again
 
 
 @click.command("map", cls=Command)
@@ -58,4 +59,5 @@ def map_(
         map_tables.plot(rows, picture)
     if picture is None or output.is_asked_for:
         output.write(rows, lambda: map_tables.tables(rows))
-    done(f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}", began)
+    what = f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}"
+    done(what, began, f"npcache compare {again((), out)}".rstrip())

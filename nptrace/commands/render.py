@@ -1,6 +1,5 @@
 """nptrace render: scenes -> runs."""
 
-import shlex
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ from nptrace.options import threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, detail, done, say, size_text
 from nptrace.scene_options import accel_option, bvh_nodes_option, check_run_names, load_scenes, scene_options, tree_params
+from nptrace.sources import again
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
@@ -89,7 +89,6 @@ def render(
     from rtrace.render import Shooting, render_all
     from rtrace.scenes import float32_check
     from rtrace.trees.strays import margin_note
-    from traces.format import printable
 
     began = time.perf_counter()
     check_run_names(run_names, len(names) * max(len(cameras), 1))
@@ -115,9 +114,8 @@ def render(
         runs = list(summaries)
     output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
     n_rays, n_bytes = sum(run.n_rays for run in runs), sum(run.n_bytes for run in runs)
-    folder = "" if str(out) == "traces" else f"--traces {shlex.quote(printable(str(out)))} "
     what = f"{len(runs)} run{'s' * (len(runs) != 1)}, {n_rays:,} rays, {size_text(n_bytes)}"
-    done(what, began, f"npcache replay {folder}--size 8K,16K")
+    done(what, began, f"npcache replay {again((), out)}--size 8K,16K")
 
 
 def table_of(runs: "list[Summary]") -> "Table":

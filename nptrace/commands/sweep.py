@@ -6,17 +6,17 @@ from pathlib import Path
 import click
 
 from cachesim.config import parse_bytes
-from nptrace.options import list_option, threads_option
+from nptrace.options import list_option, threads_option, ways_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import Counted, Progress, done
-from nptrace.sources import chosen_sources, traces_option
+from nptrace.progress import Progress, done
+from nptrace.sources import again, chosen_sources, traces_option
 
 
 @click.command()
 @click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @list_option("--size", item=str, metavar="SIZES", default="4K..64K", help="Cache sizes and ranges, e.g. 4K..64K,96K.")
-@list_option("--ways", "--assoc", item=str, metavar="WAYS", default="1..16", help="Associativity, with ranges, e.g. 1..16.")
+@ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help="Prefetch policy: none, traced, stack[:...].")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help="Node layout, as in npcache replay.")
@@ -24,8 +24,8 @@ from nptrace.sources import chosen_sources, traces_option
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options(default="csv")
 def sweep(
-    sources: tuple[Path, ...], folder: Path, size: list[str], ways: list[str], line: list[int], prefetch: list[str],
-    layout: list[str], threads: int, picture: Path | None, output: Output,
+    sources: tuple[Path, ...], folder: Path, size: list[str], ways: list[tuple[str, ...]], line: list[int],
+    prefetch: list[str], layout: list[str], threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Count the misses of every LRU cache in ranges of size, associativity and line, exactly, in one pass over each trace.
 
@@ -35,34 +35,22 @@ def sweep(
     npcache sweep --size 4K..64K --ways 1..16 --line 32,64 -o sweep.parquet --plot sweep.png
     npcache sweep traces/bunny-bvh --ways 1,2,4,full --prefetch none,stack:tris*2
     """
-    from cachesim import sweep as sweeping
-    from cachesim.grid import grid, parse_range, parse_ways_range
+    from cachesim.grid import grid, parse_range
     from cachesim.report import sweep_output
     from cachesim.report.pictures import check_plot
-    from cachesim.source import open_source
+    from nptrace.studies import swept
 
-    all_ways = list(dict.fromkeys(way for text in ways for way in parse_ways_range(text)))
     if picture is not None:
         check_plot(picture)  # refused now, not after counting
-    configs = grid([parse_range(text) for text in size], all_ways, line)
-    rows: list[sweeping.SweepRow] = []
-    paths = chosen_sources(sources, folder)
-    began, n_events = time.perf_counter(), 0
+    configs = grid([parse_range(text) for text in size], [way for named in ways for way in named], line)
+    paths, began = chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
-        for path in paths:
-            for one_layout in layout:
-                source = open_source(path, one_layout)
-                source.check_passes(len(prefetch))
-                for one_prefetch in prefetch:
-                    bar.job(source.identity.run)
-                    progress = Counted(bar.phase(f"sweep, prefetch {one_prefetch}", source.n_events))
-                    rows += sweeping.sweep(source, configs, prefetch=one_prefetch, threads=threads, progress=progress)
-                    n_events += progress.n
+        rows = swept(paths, configs, prefetch, layout, bar, threads=threads)
         if picture is not None:
             bar.phase("plot")
             sweep_output.plot(rows, picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
     n_runs = len({row.identity for row in rows})
-    what = f"{n_runs} run{'s' * (n_runs != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {n_events:,} accesses read"
-    done(what, began)
+    what = f"{n_runs} run{'s' * (n_runs != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {bar.n_done:,} accesses read"
+    done(what, began, f"npcache time {again(sources, folder, needs_run=True)}--prefetch stack,push")

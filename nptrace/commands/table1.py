@@ -1,21 +1,17 @@
 """npcache table1: Table I of the paper beside ours."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from nptrace.commands.estimate import estimate_scenes
-from nptrace.groups import BadInput
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, load_scenes
-from nptrace.sources import chosen_sources, traces_option
-
-if TYPE_CHECKING:
-    from traces.reader import Run
+from nptrace.sources import LAYOUT_HELP, again, chosen_sources, traces_option
 
 
 @click.command()
@@ -29,10 +25,16 @@ if TYPE_CHECKING:
     "--pixels", default="2048x2048", show_default=True, metavar="WxH", help="With --target-error: size of the picture."
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: seed of the sample.")
+@click.option(
+    "--policy", type=click.Choice(["lru", "fifo", "random"]), default="lru", show_default=True,
+    help="Replacement; with --target-error lru alone. The clock's caches know no opt.",
+)  # fmt: skip
+@click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @threads_option()
 @results_options()
 def table1(
-    sources: tuple[Path, ...], folder: Path, error: str | None, pixels: str, seed: int, threads: int, output: Output
+    sources: tuple[Path, ...], folder: Path, error: str | None, pixels: str, seed: int, policy: str, layout: str,
+    threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Print Table I of the paper beside ours, from existing runs or estimated for large pictures.
 
@@ -43,38 +45,39 @@ def table1(
     npcache table1 --target-error 2%,0.05pp --pixels 2048x2048
     """
 
+    from cachesim.layout import parse_layout
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
+    from nptrace.studies import table1_rows, table1_runs
     from traces.reader import open_run
 
+    parse_layout(layout)
     if error is not None:
-        estimated_table1(error, Picture(pixels=pixels, seed=seed, threads=threads), output)
+        estimated_table1(error, Picture(pixels=pixels, seed=seed, threads=threads), policy, layout, output)
         return
-    runs: list[Run] = [open_run(path) for path in chosen_sources(sources, folder)]
-    chosen = table.choose_runs(runs)
-    if not chosen:
-        raise BadInput(f"no run in {folder} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
+    chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
     began = time.perf_counter()
-    with Progress(1) as bar:
-        bar.job("Table I")
-        rows = table.table1(
-            chosen, threads=threads, progress=bar.phase("replay and time", 2 * sum(run.n_accesses for run in chosen.values()))
-        )
+    with Progress() as bar:
+        rows = table1_rows(chosen, bar, policy=policy, layout=layout, threads=threads)
     for tree, scene in table.missing(chosen):
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
-    done(f"{len(chosen)} runs, {len(rows)} caches", began)
+    done(f"{len(chosen)} runs, {len(rows)} caches", began, f"npcache compare {again(sources, folder)}".rstrip())
 
 
-def estimated_table1(error: str, picture: Picture, output: Output) -> None:
+def estimated_table1(error: str, picture: Picture, policy: str, layout: str, output: Output) -> None:
     """Write Table I estimated for the four scenes and both trees."""
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import SCENES, TREES, caches
+    from cachesim.sampling.cold_start import check_lru
     from cachesim.sampling.target import parse_target
 
-    target = parse_target(error)
+    target, began = parse_target(error), time.perf_counter()
+    configs = [replace(each, policy=policy) for each in caches()]
+    check_lru(configs)
     scenes = load_scenes(SCENES, strict=False, offline=False)
-    found = estimate_scenes(scenes, tuple(TREES), caches(), target, picture)
+    found = estimate_scenes(scenes, tuple(TREES), configs, target, picture, [layout])
     ordered = [(tree, scene.name, result) for tree in TREES for kind, scene, result in found if kind == tree]
     records = estimate_tables.records([result for _, _, result in ordered], output.form)
     output.write(records, lambda: estimate_tables.table1_tables(ordered))
+    done(f"{len(ordered)} runs, {len(configs)} caches", began, f"nptrace render {' '.join(SCENES)} --pixels {picture.pixels}")

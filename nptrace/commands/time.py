@@ -2,7 +2,6 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -11,10 +10,7 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, chosen_sources, policies, traces_option
-
-if TYPE_CHECKING:
-    from cachesim.clock.timing import Timing
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, again, chosen_sources, policies, traces_option
 
 #: The tallies of the clock that can be printed.
 BY = ("level", "ray", "slot", "leaf")
@@ -54,39 +50,33 @@ def time_(
     npcache time traces/bunny-bvh --machine rtx2060 --prefetch stack,push,perfect --json
     npcache time traces/bunny-bvh --by level
     """
-    from cachesim.clock.timing import time_run
-    from cachesim.layout import parse_layout
     from cachesim.prefetch import parse_prefetch
     from cachesim.report import tally_tables, timing_tables
     from cachesim.source import open_source
+    from nptrace.studies import timed
 
-    policies, layouts = [parse_prefetch(text) for text in prefetch], [parse_layout(text) for text in layout]
     paths = chosen_sources(sources, folder)
-    n_cases = len(paths) * len(layouts) * len(policies) * len(machines.configs) * len(machines.clocks)
+    n_cases = len(paths) * len(layout) * len(prefetch) * len(machines.configs) * len(machines.clocks)
     if timeline is not None and n_cases > 1:
         raise BadInput(
             f"--timeline shows one case, and the options ask for {n_cases}; name one run, cache, machine and policy"
         )
-    results: list[Timing] = []
     began = time.perf_counter()
-    with Progress(len(paths) * len(layouts)) as bar:
-        for path in paths:
-            for one_layout in layouts:
-                source = open_source(path, one_layout)
-                bar.job(source.identity.run)
-                advance = bar.phase("time", source.n_events)
-                results += time_run(
-                    source, machines.configs, machines.clocks, policies, by=by or "nothing", threads=threads, progress=advance
-                )  # fmt: skip
-                if timeline is not None:
-                    from cachesim.clock.timeline import write_timeline
+    with Progress(len(paths) * len(layout)) as bar:
+        results = timed(
+            paths, machines.configs, machines.clocks, prefetch, layout, bar, by=by or "nothing", threads=threads
+        )  # fmt: skip
+        if timeline is not None:
+            from cachesim.clock.timeline import write_timeline
 
-                    bar.phase("timeline")
-                    write_timeline(source, machines.configs[0], machines.clocks[0], policies[0], timeline)
+            bar.phase("timeline")
+            source, policy = open_source(paths[0], layout[0]), parse_prefetch(prefetch[0])
+            write_timeline(source, machines.configs[0], machines.clocks[0], policy, timeline)
     if str(timeline) == "-" and not output.is_asked_for:
         pass  # stdout has the timeline
     elif by is None:
         output.write([result.to_dict() for result in results], lambda: timing_tables.tables(results))
     else:
         output.write(tally_tables.records(results, by), lambda: tally_tables.tables(results, by))
-    done(f"{len(results)} case{'s' * (len(results) != 1)}, {sum(result.cycles for result in results):,} cycles", began)
+    what = f"{len(results)} case{'s' * (len(results) != 1)}, {sum(result.cycles for result in results):,} cycles"
+    done(what, began, f"npcache compare {again(sources, folder, needs_run=True)}".rstrip())

@@ -5,10 +5,12 @@ in planes, where brute force with our triangle test is the reference (docs/corre
 close the distances can be: they are compared in units of kappa, the error that rounding the inputs to float32 explains.
 """
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from nptrace_base.pools import thread_pool
 from rtrace.chunk import primary_rays
 from rtrace.rays import Hits, Rays, make_rays
 from rtrace.scenes.scene import Scene
@@ -73,11 +75,13 @@ def embree_scene(triangles: np.ndarray):
     return scene
 
 
-def compare(trees: list[Tree], scene: Scene, width: int, height: int, n_random: int, seed: int) -> list[EmbreeComparison]:
+def compare(
+    trees: list[Tree], scene: Scene, width: int, height: int, n_random: int, seed: int, threads: int = 1
+) -> list[EmbreeComparison]:
     """Compare every tree with Embree on the primary and shadow rays of the scene's picture and on random rays.
 
     Embree and the trees get exactly the same float32 rays; shadow rays are those of the first tree. Beyond the first, a
-    tree must give the first one's hits bit by bit.
+    tree must give the first one's hits bit by bit. ``threads`` trace the rays; the rows do not depend on them.
     """
     embree = embree_scene(scene.triangles)
     frame = scene.camera.frame(width, height)
@@ -89,7 +93,7 @@ def compare(trees: list[Tree], scene: Scene, width: int, height: int, n_random: 
             continue
         first = None
         for tree in trees:
-            hits = trace(tree, rays, any_hit=name == "shadow")
+            hits = _traced(tree, rays, name == "shadow", threads)
             answer = _occlusion_rows(embree, rays, hits) if name == "shadow" else _hit_rows(embree, scene, rays, hits)
             rows += [EmbreeComparison(tree.kind, name, len(rays.t_max), *row) for row in answer]
             if first is not None:
@@ -100,6 +104,15 @@ def compare(trees: list[Tree], scene: Scene, width: int, height: int, n_random: 
                 rows.append(EmbreeComparison(tree.kind, name, len(rays.t_max), what, float((~same).sum()), 0.0))
             first = first or hits
     return rows
+
+
+def _traced(tree: Tree, rays: Rays, any_hit: bool, threads: int) -> Hits:
+    """Trace rays, a piece of them in each thread."""
+    cuts = np.linspace(0, len(rays.t_max), threads + 1).astype(int)
+    pieces = [Rays(*(values[low:high] for values in rays)) for low, high in pairwise(cuts) if low < high]
+    with thread_pool(threads) as pool:
+        found = list(pool.map(lambda piece: trace(tree, piece, any_hit=any_hit), pieces))
+    return Hits(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
 
 
 def _allowed(share: float, n: int) -> float:

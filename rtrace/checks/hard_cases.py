@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nptrace_base.pools import thread_pool
 from rtrace.checks.cases import degenerate, edges, lattices, limits, shadows, strays
 from rtrace.checks.cases.case import Case, Point
 from rtrace.checks.exact_answers import units
@@ -82,23 +83,23 @@ def cases(long: bool = False) -> Iterator[Case]:
         yield make(long)._replace(name=name)
 
 
-def run_all(long: bool = False) -> Iterator[Row]:
+def run_all(long: bool = False, threads: int = 1) -> Iterator[Row]:
     """Run every case through every structure."""
     for case in cases(long):
-        yield from run_case(case)
+        yield from run_case(case, threads=threads)
 
 
-def run_case(case: Case, structures: Structures = STRUCTURES) -> list[Row]:
-    """Run one case; brute force only where it is affordable."""
+def run_case(case: Case, structures: Structures = STRUCTURES, *, threads: int = 1) -> list[Row]:
+    """Run one case, its structures in ``threads``; brute force only where it is affordable."""
     case = case._replace(rays=Rays(*map(np.array, case.rays)))  # writable: Numba compiles anew for read-only arrays
     judge = _judge_hits if case.light is None else partial(_judge_shadows, light=case.light)
     is_affordable = len(case.rays.t_min) * len(case.triangles) <= _BRUTE_PAIRS
     first = judge(case, _brute_force(case.triangles))[1] if is_affordable else None
     rows = []
-    for structure, build in structures.items():
-        if build is _brute_force and not is_affordable:
-            continue
-        counts, found = judge(case, build(case.triangles))
+    chosen = {name: build for name, build in structures.items() if build is not _brute_force or is_affordable}
+    with thread_pool(threads) as pool:
+        judged = list(pool.map(lambda build: judge(case, build(case.triangles)), chosen.values()))
+    for structure, (counts, found) in zip(chosen, judged, strict=True):
         first = first or found
         unlike = np.any([a != b for a, b in zip(found, first, strict=True)], axis=0)
         ambiguous = int(case.answer.is_ambiguous.sum())

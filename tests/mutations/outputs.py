@@ -8,6 +8,14 @@ from tests.mutations.mutation import Mutation
 OUT, NAMES, KEPT = "tests/nptrace/test_outputs.py", "tests/nptrace/test_run_names.py", "tests/nptrace_base/test_kernel_cache.py"
 
 MUTATIONS = [
+    # One vocabulary
+    Mutation("vocabulary: of a range of ways the first alone", "cachesim/grid.py", "(fitting if len(numbers) > 1 else ()) or numbers[:1]", "numbers[:1]", "tests/nptrace/test_one_vocabulary.py -k ways"),
+    Mutation("vocabulary: a single number of ways that does not fit is left out", "cachesim/grid.py", "or numbers[:1]]", "or [n for n in numbers[:1] if not len(numbers) < 2 or n in fitting]]", "tests/nptrace/test_one_vocabulary.py -k ways"),
+    Mutation("vocabulary: an estimate's layout does not place the nodes", "cachesim/sampling/unit_counts.py", "addresses(source.nodes, source.node_bytes, self.layout,", 'addresses(source.nodes, source.node_bytes, "stored",', "tests/nptrace/test_one_vocabulary.py -k layouts"),
+    Mutation("vocabulary: counts of another layout are continued", "cachesim/sampling/unit_counts.py", 'moved = [] if self.layout == Layout("stored") else [str(self.layout)]', "moved: list[str] = []", "tests/nptrace/test_one_vocabulary.py -k continued"),
+    Mutation("vocabulary: table1 --policy ignored", "cachesim/report/table1.py", "CacheConfig(size, ways, 32, policy) for", "CacheConfig(size, ways, 32) for", "tests/nptrace/test_one_vocabulary.py -k table1"),
+    Mutation("vocabulary: table1 --layout ignored", "cachesim/report/table1.py", "source = as_source(run, layout)", "source = as_source(run)", "tests/nptrace/test_one_vocabulary.py -k table1"),
+    Mutation("vocabulary: a piece of the rays of a check is left out", "rtrace/checks/embree.py", "threads + 1).astype(int)", "threads + 1).astype(int)[:3]", "tests/nptrace/test_one_vocabulary.py -k threads"),
     Mutation("outputs: a FIFO is replaced by a file", "nptrace_base/atomic.py",
              "return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)", "return False", f"{OUT}::test_a_fifo_is_written_into"),
     Mutation("outputs: a link is replaced by a file", "nptrace_base/atomic.py",

@@ -14,7 +14,13 @@ CLOCKED = "tests/nptrace/test_clock_commands.py"
 PLOTTED = PRINTED + " -k plot"
 TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
 
+VERDICTS = "tests/cachesim/report/test_verdicts.py"
+
 MUTATIONS = [
+    # verdicts
+    Mutation("verdict: p per access of any kind", "cachesim/report/replay_tables.py", "p = [each.prefetch_accesses / each.demand_accesses for", "p = [each.prefetch_accesses / (each.demand_accesses + each.prefetch_accesses) for", VERDICTS),
+    Mutation("verdict: the paper's rate falls by 1 / (1 + p)", "cachesim/report/replay_tables.py", "ratio / (1 + extra) for ratio", "ratio - 1 / (1 + extra) for ratio", VERDICTS),
+    Mutation("verdict: bytes count fills alone", "cachesim/report/replay_tables.py", "traffic = [each.bytes_from_memory / (", "traffic = [each.prefetch_misses * each.config.line_bytes / (", VERDICTS),
     # Borders
     Mutation("border: a batch longer than a chunk is cut", "rtrace/render.py",
              "step = batch * (CHUNK // batch)", "step = CHUNK", BORDERS + " -k never_cut"),
@@ -75,7 +81,7 @@ MUTATIONS = [
     Mutation("replay: traffic of demand misses alone", "cachesim/result.py", "return ratio(self.bytes_from_memory, self", "return ratio(self.demand_misses * self.config.line_bytes, self", REPLAYED),
     Mutation("replay: rates of the table swapped", "cachesim/report/replay_tables.py", "[percent(r.demand_miss_rate), percent(r.paper_miss_rate)]", "[percent(r.paper_miss_rate), percent(r.demand_miss_rate)]", REPLAYED),
     Mutation("replay: sizes of lines and ways swapped in the JSON", "cachesim/result.py", '"ways": config.ways,\n            "line_bytes": config.line_bytes', '"ways": config.line_bytes,\n            "line_bytes": config.ways', REPLAYED),
-    Mutation("replay: --seed ignored", "nptrace/commands/replay.py", "one_line, one_policy, seed)", "one_line, one_policy, 0)", PRINTED + " -k random_policy"),
+    Mutation("replay: --seed ignored", "nptrace/commands/replay.py", "caches(size, ways, line, policy, seed)", "caches(size, ways, line, policy, 0)", PRINTED + " -k random_policy"),
     Mutation("replay: per cent of a share of one", "nptrace_base/tables.py", "None if value is None else 100 * value, decimals", "None if value is None else value, decimals", REPLAYED),
     # DineroIV's block
     Mutation("dinero: columns of misc and ifetch swapped", "cachesim/report/dinero.py", "[fetch + read + write + misc, fetch, read + write + misc, read, write, misc]", "[fetch + read + write + misc, misc, read + write + misc, read, write, fetch]", BLOCK),
@@ -100,7 +106,7 @@ MUTATIONS = [
     Mutation("table1: ours minus the paper's the other way round", "cachesim/report/table1_tables.py", "mine - row.paper[name]", "row.paper[name] - mine", TABLE1),
     Mutation("table1: B's ACPR with the measured N of A", "cachesim/report/table1_tables.py", 'for name in ("acpr_a", "acpr_b")]', 'for name in ("acpr_a", "acpr_a")]', TABLE1),
     Mutation("table1: accesses per primary ray", "cachesim/report/table1.py", "per_ray = ratio(result.demand_accesses, result.n_rays or 0)", "per_ray = ratio(result.demand_accesses + result.prefetch_accesses, result.n_rays or 0)", TABLE1),
-    Mutation("table1: two demand columns swapped", "cachesim/report/table1_tables.py", '"demand_ratio", "coverage", "accuracy")\n\nNOTES', '"demand_ratio", "accuracy", "coverage")\n\nNOTES', TABLE1),
+    Mutation("table1: two demand columns swapped", "cachesim/report/table1_tables.py", '"demand_ratio", "coverage", "accuracy")\n\n#: What', '"demand_ratio", "accuracy", "coverage")\n\n#: What', TABLE1),
     Mutation("table1: paper's column of the CSV is ours", "cachesim/report/table1.py", 'values[f"{column}_paper"] = _divided(row.paper[name], by, column)', 'values[f"{column}_paper"] = _divided(row.ours[name], by, column)', TABLE1),
     # export
     Mutation("export: the number said leaves the last row group out", "traces/din.py", "written += where.size", "written = where.size - 1", EXPORTED),
@@ -114,7 +120,7 @@ MUTATIONS = [
     Mutation("check: kappa a hundred times as wide", "rtrace/checks/embree.py", "KAPPA_LIMIT = 128.0", "KAPPA_LIMIT = 12800.0", CHECKS),
     Mutation("check: t may be off by itself", "rtrace/checks/embree.py", "T_LIMIT = 1e-2", "T_LIMIT = 1.0", CHECKS),
     Mutation("check: Embree not in robust mode", "rtrace/checks/embree.py", "EmbreeScene(robust=True)", "EmbreeScene(robust=False)", CHECKS),
-    Mutation("check: --seed ignored", "nptrace/commands/check.py", "compare(trees, scene, width, height, n_random, seed)", "compare(trees, scene, width, height, n_random, 1)", CHECKS),
+    Mutation("check: --seed ignored", "nptrace/commands/check.py", "width, height, n_random, seed, threads)", "width, height, n_random, 0, threads)", CHECKS),
     Mutation("check: a unit of kappa from one edge", "rtrace/checks/embree.py", "np.linalg.norm(e1, axis=1) * np.linalg.norm(e2, axis=1)", "np.linalg.norm(e1, axis=1) ** 2 * 3", CHECKS),
     Mutation("check: trees not compared with each other's t", "rtrace/checks/embree.py", "float((~same).sum()), 0.0)", "float((same).sum()), 0.0)", CHECKS),
     Mutation("check: lost and invented swapped in the table", "nptrace/commands/check.py", '("n_rays", "lost", "invented"', '("n_rays", "invented", "lost"', CHECKS),

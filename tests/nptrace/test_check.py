@@ -126,11 +126,11 @@ def test_embree_is_asked_to_be_robust(ball, monkeypatch):
 def test_hard_cases_decide_the_exit_status(monkeypatch):
     """Rows that are known; one of them for each way to be bad."""
     good = Row("case", "kdtree", 1234, 0, 0, 0, 1.5, 16.0, 0, 7)
-    monkeypatch.setattr(hard_cases, "run_all", lambda is_long: [good])
+    monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads: [good])
     assert "1 comparisons, 0 beyond their limit." in call("check", "--hard").stdout
     for bad in ({"lost": 2}, {"invented": 3}, {"wrong": 4}, {"unlike": 5}, {"t_error": 16.5}):
         row = good._replace(**bad)
-        monkeypatch.setattr(hard_cases, "run_all", lambda is_long, row=row: [good, row])
+        monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads, row=row: [good, row])
         assert json.loads(call("check", "--hard", "--json", code=1).stdout) == [
             {"schema_version": 1, **good._asdict(), "is_good": True}, {"schema_version": 1, **row._asdict(), "is_good": False},
         ]  # fmt: skip
@@ -143,7 +143,7 @@ def test_hard_cases_decide_the_exit_status(monkeypatch):
 
 def test_hard_cases_come_in_two_lengths(monkeypatch):
     asked = []
-    monkeypatch.setattr(hard_cases, "run_all", lambda is_long: asked.append(is_long) or [])
+    monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads: asked.append(is_long) or [])
     call("check", "--hard")
     call("check", "--hard", "--long")
     assert asked == [False, True]

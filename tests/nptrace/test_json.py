@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 import cli
+from nptrace import precompile
 from rtrace.checks import hard_cases
 from tests.nptrace.test_terminal import inputs
 
@@ -27,6 +28,7 @@ COMMANDS = {
     "compare": "npcache compare traces/bunny-bvh --no-baselines --prefetch stack,push --size 1K --assoc 1",
     "map": "nptrace map ball.obj --quick --pixels 16x16 --out map",
     "table1": "npcache table1",
+    "compile": "nptrace compile",
     "estimate": "npcache estimate ball.obj --pixels 32x32 --size 1K",
 }
 
@@ -38,7 +40,8 @@ def folder(tmp_path, monkeypatch):
     inputs(tmp_path)
     (tmp_path / "empty.din").write_text("b 1000\nb 1020\n")
     rows = [hard_cases.Row("case", "kdtree", 9, 0, 0, 0, 0.5, bound, 0, 1) for bound in (4.0, math.inf)]
-    monkeypatch.setattr(hard_cases, "run_all", lambda is_long: rows)
+    monkeypatch.setattr(precompile, "compile_all", lambda watch: 3)
+    monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads: rows)
     return tmp_path
 
 

@@ -1,0 +1,161 @@
+"""The work of npcache's commands: runs and parsed options in, results out. The commands, the functions of ``nptrace.api`` and
+the studies of ``nptrace run`` share it, so that all three count the same.
+
+``bar`` is the line of progress; one that was not entered prints nothing.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nptrace.progress import Progress
+from traces.reader import Run
+
+if TYPE_CHECKING:
+    from cachesim.by_group import GroupedResult
+    from cachesim.clock.compare import Compared
+    from cachesim.clock.parameters import Clock
+    from cachesim.clock.timing import Timing
+    from cachesim.config import CacheConfig
+    from cachesim.layout import Layout
+    from cachesim.report.table1 import Table1Row
+    from cachesim.result import Result
+    from cachesim.source import Source
+    from cachesim.sweep import SweepRow
+
+#: What is replayed: a run, or the place of a run or a trace.
+Where = Run | Path | str
+
+
+def replayed(
+    sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
+    bar: Progress, *, three_c: bool = False, threads: int | None = None,
+) -> "list[Result]":  # fmt: skip
+    """Replay every source under every layout and prefetch policy through every cache, the caches fastest."""
+    from cachesim.prefetch import parse_prefetch
+    from cachesim.replay import replay
+
+    policies = [parse_prefetch(text) for text in prefetches]
+    results: list[Result] = []
+    for source in _opened(sources, layouts):
+        source.check_passes(len(policies))
+        for policy in policies:
+            bar.job(source.identity.run)
+            advance = bar.phase(f"replay, prefetch {policy}", source.n_events)
+            results += replay(source, configs, prefetch=policy, three_c=three_c, threads=threads, progress=advance)
+    return results
+
+
+def replayed_by(
+    sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str], by: str,
+    bar: Progress, *, three_c: bool = False, threads: int | None = None,
+) -> "list[GroupedResult]":  # fmt: skip
+    """Replay as ``replayed`` does, and keep the counts by pixel, level, node or type of ray."""
+    from cachesim.by_group import replay_by, run_source
+    from cachesim.prefetch import parse_prefetch
+
+    policies = [parse_prefetch(text) for text in prefetches]
+    results: list[GroupedResult] = []
+    for where in sources:
+        for layout in parsed(layouts):
+            source = run_source(where, layout, by)
+            for policy in policies:
+                bar.job(source.identity.run)
+                advance = bar.phase(f"replay, prefetch {policy}", source.n_events)
+                results += replay_by(
+                    source, configs, by, prefetch=policy, three_c=three_c, threads=threads, progress=advance
+                )  # fmt: skip
+    return results
+
+
+def swept(
+    sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
+    bar: Progress, *, threads: int | None = None,
+) -> "list[SweepRow]":  # fmt: skip
+    """Count the misses of every LRU cache, in the order of ``replayed``."""
+    from cachesim.sweep import sweep
+
+    rows: list[SweepRow] = []
+    for source in _opened(sources, layouts):
+        source.check_passes(len(prefetches))
+        for policy in prefetches:
+            bar.job(source.identity.run)
+            advance = bar.phase(f"sweep, prefetch {policy}", source.n_events)
+            rows += sweep(source, configs, prefetch=policy, threads=threads, progress=advance)
+    return rows
+
+
+def timed(
+    sources: Sequence[Where], configs: "Sequence[CacheConfig]", clocks: "Sequence[Clock]", prefetches: Sequence[str],
+    layouts: Sequence[str], bar: Progress, *, by: str = "nothing", threads: int | None = None,
+) -> "list[Timing]":  # fmt: skip
+    """Count the cycles of every run under every layout, with every cache, machine and policy."""
+    from cachesim.clock.timing import time_run
+    from cachesim.prefetch import parse_prefetch
+
+    policies = [parse_prefetch(text) for text in prefetches]
+    results: list[Timing] = []
+    for source in _opened(sources, layouts):
+        bar.job(source.identity.run)
+        advance = bar.phase("time", source.n_events)
+        results += time_run(source, configs, clocks, policies, by=by, threads=threads, progress=advance)
+    return results
+
+
+def compared(
+    sources: Sequence[Where], config: "CacheConfig", clock: "Clock", prefetches: Sequence[str], layout: str, bar: Progress,
+    *, baselines: bool = True, threads: int | None = None,
+) -> "list[Compared]":  # fmt: skip
+    """Compare the policies (``all``: the usual ones) on one cache and machine, run by run."""
+    from cachesim.clock.compare import compare, usual_policies
+    from traces.reader import open_run
+
+    names = [name for text in prefetches for name in (usual_policies() if text == "all" else [text])]
+    rows: list[Compared] = []
+    for source in sources:
+        run = source if isinstance(source, Run) else open_run(source)
+        bar.job(run.name)
+        rows += compare(
+            run, config, clock, layout=layout, prefetches=names, has_baselines=baselines, threads=threads,
+            progress=bar.phase("compare"),
+        )  # fmt: skip
+    return rows
+
+
+def table1_rows(
+    chosen: dict[tuple[str, str], Run], bar: Progress, *, policy: str = "lru", layout: str = "stored",
+    threads: int | None = None,
+) -> "list[Table1Row]":  # fmt: skip
+    """Return Table I for the runs that ``table1.choose_runs`` found."""
+    from cachesim.report.table1 import table1
+
+    bar.job("Table I")
+    advance = bar.phase("replay and time", 2 * sum(run.n_accesses for run in chosen.values()))
+    return table1(chosen, policy=policy, layout=layout, threads=threads, progress=advance)
+
+
+def table1_runs(runs: Sequence[Run], where: Any) -> dict[tuple[str, str], Run]:
+    """Return the runs of Table I's scenes; NptraceError, which says where they were looked for, if there is none."""
+    from cachesim.report import table1 as table
+    from nptrace_base.errors import NptraceError
+
+    chosen = table.choose_runs(runs)
+    if not chosen:
+        raise NptraceError(f"no run in {where} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
+    return chosen
+
+
+def _opened(sources: Sequence[Where], layouts: Sequence[str]) -> "Iterator[Source]":
+    """Open every source under every layout, one after another."""
+    from cachesim.source import as_source
+
+    for source in sources:
+        for layout in parsed(layouts):
+            yield as_source(source, layout)
+
+
+def parsed(layouts: Sequence[str]) -> "list[Layout]":
+    """Return the layouts of these names."""
+    from cachesim.layout import parse_layout
+
+    return [parse_layout(text) for text in layouts]
