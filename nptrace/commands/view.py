@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from nptrace.clock_options import SOURCES, Machines, machine_options
+from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.groups import BadInput, Command
 from nptrace.options import ListOf, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, prefetch_help
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, policies
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -34,7 +34,9 @@ def parse_kind(text: str) -> str:
     return text.strip()
 
 
-@click.command(cls=Command, epilog=SOURCES)
+@click.command(
+    cls=Command, lists={"Prefetch policies": policies, "Machines and where their numbers come from": machine_sources}
+)
 @click.argument("sources", metavar="RUN...", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--heat", "kinds", type=ListOf("KINDS", parse_kind), metavar="KINDS", multiple=True, callback=merged,
@@ -43,7 +45,7 @@ def parse_kind(text: str) -> str:
 @click.option("--difference", is_flag=True, help="Show the first run, and each other one minus the first.")
 @click.option("--enlarge", type=click.IntRange(1, 64), metavar="N", help="Dots per pixel of the run, on either side.")
 @machine_options
-@click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=prefetch_help())
+@click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=PREFETCH_HELP)
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @threads_option()
 @output_option("-o", "--output", "path", help="The picture: .png; heat maps also .svg and .pdf; - is stdout.")
