@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from functools import cache, partial
@@ -486,6 +487,7 @@ def main() -> None:
     parser.add_argument("-s", "--seed", type=int, default=0)
     parser.add_argument("-o", type=Path, help="write the counts as JSON")
     args = parser.parse_args()
+    warnings.simplefilter("error")  # nobody who reads a file wants to see them
     faulthandler.enable()  # a crash of the process is a failure too, and says where
     resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))  # an input that asks for more is a failure, not the end of all
     rows: dict[str, dict[str, Any]] = {}

@@ -84,8 +84,9 @@ def read_mesh(path: Path, *, fans: bool = False) -> Mesh:
         data = _unpacked(data)
         if not data.strip():
             raise MeshError("the file is empty")
-        mesh = reader(data, path)
-        faces, notes = (fan(mesh.lengths, mesh.corners), ()) if fans else triangulate(*mesh[:3])
+        with np.errstate(all="ignore"):  # vertices that are no numbers are found and counted later
+            mesh = reader(data, path)
+            faces, notes = (fan(mesh.lengths, mesh.corners), ()) if fans else triangulate(*mesh[:3])
     except MeshError as error:
         raise SceneError(f"{path}: cannot be read as {kind}: {error}; {error.way_out}") from error
     if not faces.size:

@@ -64,4 +64,5 @@ MUTATIONS = [
     Mutation("meshes: glTF names stay encoded", FILE, "self._folder / unquote(uri)", "self._folder / uri", CORPUS),
     Mutation("meshes: glTF buffers that are cut off", FILE, "        if end > size:\n", "        if end > size + 99:\n", FILES),
     Mutation("meshes: GLB cut off", FILE, "if length > len(data):", "if length > 2 * len(data):", FILES),
+    Mutation("meshes: numbers beyond all numbers print NumPy's warnings", "rtrace/scenes/mesh_file.py", 'np.errstate(all="ignore")', 'np.errstate()', "tests/rtrace/scenes/test_mesh_files.py"),
 ]

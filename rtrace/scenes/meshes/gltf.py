@@ -135,8 +135,7 @@ class _Reader:
             if joints is not None and "JOINTS_0" in primitive.item("attributes"):
                 placed = [self._skinned(primitive, points, joints)]
             else:
-                with np.errstate(invalid="ignore", over="ignore"):  # infinite vertices are found later
-                    placed = [points @ place[:3, :3].T + place[:3, 3] for place in places]
+                placed = [points @ place[:3, :3].T + place[:3, 3] for place in places]
             for corners in placed:
                 self.vertices.append(corners)
                 # A vertex number beyond this mesh must not refer to the next one.
@@ -182,8 +181,7 @@ class _Reader:
         inverse = self.file.array(skin.number("inverseBindMatrices"), skin.name, "MAT4").reshape(-1, 4, 4)
         if len(inverse) < len(places):
             raise MeshError(f"{skin.name} has {len(places)} joints and {len(inverse)} inverseBindMatrices")
-        with np.errstate(invalid="ignore", over="ignore"):
-            return places @ inverse[: len(places)].transpose(0, 2, 1)
+        return places @ inverse[: len(places)].transpose(0, 2, 1)
 
     def _triangles(self, primitive: Item) -> np.ndarray | None:
         """Return the vertex numbers of a primitive's triangles, (n, 3); None for points and lines."""
@@ -219,8 +217,7 @@ class _Reader:
                 moves = self.file.array(target.number("POSITION"), f"a target of {primitive.name}", "VEC3")
                 if len(moves) != len(points):
                     raise MeshError(f"a target of {primitive.name} has {len(moves)} vertices, not {len(points)}")
-                with np.errstate(invalid="ignore", over="ignore"):
-                    points = points + weight * moves
+                points = points + weight * moves
         return points
 
     def _skinned(self, primitive: Item, points: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -236,19 +233,17 @@ class _Reader:
                 raise MeshError(f"{primitive.name} has {len(points)} vertices and other numbers of joints and weights")
             if numbers.size and numbers.max() >= len(joints):
                 raise MeshError(f"{primitive.name} names joint {numbers.max()} of its skin, which has {len(joints)}")
-            with np.errstate(invalid="ignore", over="ignore"):
-                for number, weight in zip(numbers.T, weights.T, strict=True):
-                    own = joints[number]
-                    moved += weight[:, None] * (np.einsum("nij,nj->ni", own[:, :3, :3], points) + own[:, :3, 3])
-                    total += weight
+            for number, weight in zip(numbers.T, weights.T, strict=True):
+                own = joints[number]
+                moved += weight[:, None] * (np.einsum("nij,nj->ni", own[:, :3, :3], points) + own[:, :3, 3])
+                total += weight
             first = numbers[:, 0] if first is None else first
             k += 1
         unweighed = total == 0  # these follow their first joint
         if unweighed.any() and first is not None:
             own = joints[first[unweighed]]
             moved[unweighed] = np.einsum("nij,nj->ni", own[:, :3, :3], points[unweighed]) + own[:, :3, 3]
-        with np.errstate(invalid="ignore", over="ignore"):
-            return moved / np.where(unweighed, 1.0, total)[:, None]
+        return moved / np.where(unweighed, 1.0, total)[:, None]
 
 
 def _matrix(node: Item) -> np.ndarray:

@@ -187,8 +187,7 @@ def _lists(found: dict[bytes, dict[bytes, tuple[np.ndarray, np.ndarray]]], name:
         raise MeshError(f"its element {name.decode()} has no list vertex_indices")
     lengths, corners = found[name][kind]
     if corners.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):
-            bad = np.flatnonzero(corners != np.floor(corners))
+        bad = np.flatnonzero(corners != np.floor(corners))
         if bad.size or not np.isfinite(corners).all():
             at = bad[0] if bad.size else np.flatnonzero(~np.isfinite(corners))[0]
             face = np.searchsorted(np.cumsum(lengths), at, "right")

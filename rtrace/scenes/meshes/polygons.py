@@ -102,8 +102,7 @@ def _examine(
     at = np.flatnonzero(lengths[owner] > 3)
     if not len(vertices):
         return nothing
-    with np.errstate(invalid="ignore"):
-        good = np.append(np.all(np.abs(vertices) <= _FLOAT32_MAX, axis=1), False)
+    good = np.append(np.all(np.abs(vertices) <= _FLOAT32_MAX, axis=1), False)
     listed = faces[at]
     listed[(listed < 0) | (listed >= len(vertices))] = len(vertices)
     usable = np.all(good[listed], axis=1)

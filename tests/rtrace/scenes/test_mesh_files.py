@@ -305,3 +305,17 @@ def test_the_first_byte_of_a_binary_ply_may_look_like_a_line_end(tmp_path):
 def test_strips_begin_anew_at_minus_one():
     found = strips(np.array([8, 2, 4]), np.array([0, 1, 2, -1, 2, 0, 1, 3, 4, 5, 9, 8, 7, 6]))
     assert found.tolist() == [[0, 1, 2], [2, 0, 1], [1, 0, 3], [9, 8, 7], [7, 8, 6]]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({}, "1 with NaN or infinite vertices"),
+        ({"rotation": [1e200, 0, 0, 1e200]}, "node 1 has a rotation that is not a quat"),
+    ],
+)
+def test_transformations_beyond_all_numbers_are_refused_without_warnings(tmp_path, more, words):
+    """Warnings are errors in tests."""
+    nodes = [{"scale": [1e300] * 3, "children": [1]}, {"mesh": 0, "scale": [1e300] * 3, **more}]
+    with pytest.raises(SceneError, match=words):
+        load(tmp_path, "m.gltf", gltf(nodes=nodes))
