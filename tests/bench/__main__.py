@@ -28,7 +28,7 @@ from tests.bench.goals import ABSENT, GOALS, is_met
 from tests.bench.savings import bench_savings
 from tests.bench.several_rays import bench_several
 from tests.bench.stage1 import bench_scene, build_peer, pieces
-from tests.bench.stage2 import bench_run, bench_start
+from tests.bench.stage2 import bench_comparison, bench_run, bench_start
 from tests.bench.tried import bench_tried
 from tests.bench.variants import bench_variants
 from traces.reader import open_run
@@ -116,6 +116,8 @@ def main() -> None:
                 add(tried, bench_several(tree, shadow, True, repeat, several))
                 render(scene, tree, Shooting(size, size), path)
                 add(found, bench_run(open_run(path), repeat))
+                render(scene, tree, Shooting(min(size, 128), min(size, 128)), folder / "small")
+                add(found, bench_comparison(open_run(folder / "small")))
                 add(tried, bench_tried(open_run(path), repeat))
     if not quick:
         add(found, bench_start())

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from cachesim.all_associativity import SetCounts
+from cachesim.clock.compare import compare
 from cachesim.clock.parameters import PRESETS
 from cachesim.clock.stretches import Stretches
-from cachesim.clock.timing import Workshop
+from cachesim.clock.timing import Workshop, time_run
 from cachesim.config import CacheConfig
 from cachesim.fast_lru import direct_mapped, empty_tags, set_mask, two_way
 from cachesim.prefetch import parse_prefetch
@@ -88,6 +89,24 @@ def clock_ns(run: Run, rays: int, repeat: int) -> float:
             stretches.keep(int(rows.first[ray - rows.first_ray]), ray)
         found.append(seconds / n_rows * 1e9)
     return sorted(found)[repeat // 2]
+
+
+def bench_comparison(run: Run) -> dict[str, float]:
+    """Time whole comparisons of a run: all policies with their baselines, and 24 configurations by two threads and by one."""
+    clock, cache = PRESETS["paper"].clock, CacheConfig(8192, 2)
+    machines = [clock.with_numbers(miss=miss) for miss in (50, 100, 200, 300)]
+    functions = {
+        "compare": lambda: compare(run, cache, clock, threads=2),
+        "policies": lambda: compare(run, cache, clock, has_baselines=False, threads=2),
+        "two": lambda: time_run(run, TABLE1[:3], machines, ["push"], threads=2),
+        "one": lambda: time_run(run, TABLE1[:3], machines, ["push"], threads=1),
+    }
+    taken = times(functions, 3, time.perf_counter)
+    return {
+        "compare, s": sorted(taken["compare"])[1],
+        "compare --no-baselines, s": sorted(taken["policies"])[1],
+        "24 configurations, one thread / two": ratio(taken["one"], taken["two"]),
+    }
 
 
 def bench_sweep(lines: np.ndarray, labels: np.ndarray, two_ways: list[float], repeat: int) -> dict[str, float]:
