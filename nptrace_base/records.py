@@ -57,10 +57,8 @@ def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, typ
     held = {name: type_ or (types or {}).get(name, float) for name, type_ in found.items()}
     fields = [pa.field(name, arrow.get(type_, pa.float64())) for name, type_ in held.items()]
     schema, rows = pa.schema(fields), iter(records)
-    with (
-        open(path, "wb") as file,
-        pq.ParquetWriter(file, schema) as writer,
-    ):  # by Python: Arrow opens only names that are UTF-8
+    # Opened by Python: Arrow opens only names that are UTF-8.
+    with open(path, "wb") as file, pq.ParquetWriter(file, schema) as writer:
         for _ in range(0, max(len(records), 1), _AT_A_TIME):
             some = islice(rows, _AT_A_TIME)
             plain = [{name: _utf8(value) for name, value in record.items()} for record in some]

@@ -61,7 +61,7 @@ def trace_recorded(
     -------
     hits : Hits
     count : (n,) uint32
-        Accesses of each ray, pre-fetch requests included.
+        Accesses of each ray, prefetch requests included.
     events : (sum of count,) uint32
         ``node << 2 | kind`` of all rays, in ray order.
     """

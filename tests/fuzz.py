@@ -431,7 +431,7 @@ TARGETS = [
     Target("caches", st.tuples(damaged(*sizes), damaged(*ways), damaged("32", "64", "1"), policies), try_cache),
     Target("ranges of a sweep", st.tuples(damaged("4K..64K", "8K", "1..2"), damaged("1..16", "full", "4")), try_ranges),
     Target(
-        "pre-fetch policies",
+        "prefetch policies",
         damaged("none", "traced", "stack:budget=3:once", "stack:tris*2:empty", "next-line:tagged:2"),
         try_prefetch,
     ),

@@ -158,7 +158,7 @@ def _is_firm(corners: np.ndarray, weights: np.ndarray, is_firm: np.ndarray) -> b
 
 
 def units(triangles: np.ndarray, rays: Rays, prim: np.ndarray) -> np.ndarray:
-    """Return the unit of t's error for each hit, 2^-52 max|v - o| |e1| |e2| |d| / |n . d|: ``verify.kappa`` for float64."""
+    """Return the unit of t's error for each hit, 2^-52 max|v - o| |e1| |e2| |d| / |n . d|: ``embree.kappa`` for float64."""
     return kappa(triangles, rays, prim) * 2.0**-29
 
 

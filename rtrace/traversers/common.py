@@ -1,4 +1,4 @@
-"""What the traversers of all node formats share: the set-up of a ray, the leaf, the pre-fetch unit, and the rules.
+"""What the traversers of all node formats share: the set-up of a ray, the leaf, the prefetch unit, and the rules.
 
 An access is written as one uint32, ``node << 2 | kind``, with the kinds of ``traces.format``. A kernel serves closest-hit
 and any-hit rays, traced or not (``events`` None compiles to a kernel without tracing).
@@ -8,7 +8,7 @@ Rules that hold for all (reasons in docs/correctness.md):
 - The triangle test decides; boxes and planes only skip what cannot matter: they are moved outwards by a margin, per ray and
   axis (``intersect.margins``). So a ray lying in a face or a split plane is on both sides of it.
 - A hit counts when t_min <= t <= t_max. Among equal t the lowest triangle number wins, so culling keeps equals.
-- The pre-fetch unit of Park et al. 2013, Sec. 3: a push sets its pointer to the stack top, a pop lowers it to the top; at a
+- The prefetch unit of Park et al. 2013, Sec. 3: a push sets its pointer to the stack top, a pop lowers it to the top; at a
   non-empty leaf, before its triangles are tested, it requests the nodes below its pointer, which stays where it stops.
   Between two pushes the top only falls, so it is enough to lower the pointer at the leaf.
 """

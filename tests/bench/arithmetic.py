@@ -104,7 +104,7 @@ def measure(module: Any, tree: Tree, rays: Rays) -> tuple[Any, np.ndarray, float
 
 
 def miss_rates(tree: Tree, events: np.ndarray) -> np.ndarray:
-    """Return the demand miss rate without pre-fetching of the four caches."""
+    """Return the demand miss rate without prefetching of the four caches."""
     table, node_bytes = node_table(tree), tree.nodes.dtype.itemsize
     lines = NodeLines(addresses(table, node_bytes, "stored"), node_bytes, 32, 0)
     labels = ((events & np.uint32(3)) == 3).astype(np.uint8) * np.uint8(11)

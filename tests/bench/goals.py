@@ -54,7 +54,7 @@ GOALS |= {
     "stack distances / one 2-way": ("exact stack distances, over one 2-way replay", "<= 6"),
     "replay from Parquet / 2-way from memory": ("one replay straight from Parquet, over one from memory", "<= 5"),
     "decode node + kind, M accesses/s": ("reading node and kind, M accesses a second on one core", ">= 120"),
-    "replay of 4 caches, unfiltered / filtered": ("four caches with pre-fetches: without over with the exact filter", ""),
+    "replay of 4 caches, unfiltered / filtered": ("four caches with prefetches: without over with the exact filter", ""),
     "cold compile of everything, s": ("cold compilation of everything by two processes, s of wall time", "<= 25"),
     "cold compile of everything, CPU s": ("the same, CPU s of both", ""),
     "warm start to the first ray, s": ("warm start to the first traced ray, CPU s", "<= 1.0"),

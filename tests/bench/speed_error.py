@@ -1,7 +1,7 @@
 """``python -m tests.bench.speed_error [--quick]``: what each short cut gains, and what it costs in error of Table I.
 
 The speed-up is over the exact run that an estimate replaces: every ray traced into memory, filtered, replayed through the four
-caches with and without pre-fetching. It is a ratio of CPU times, taken on one thread in one process, of everything but
+caches with and without prefetching. It is a ratio of CPU times, taken on one thread in one process, of everything but
 building the tree and compiling. Errors are of every column of Table I against the exact run, the median and the largest
 over seeds. Written to docs/data/speed_error.csv, and drawn in docs/speed-error.png and .svg; ``--quick`` writes nothing.
 """
@@ -90,7 +90,7 @@ class Exact(NamedTuple):
     piece: tuple[np.ndarray, np.ndarray]
     trace_s: float
     replay_s: float  # filtered, of all accesses
-    n: int  # accesses, pre-fetches included
+    n: int  # accesses, prefetches included
 
     @property
     def seconds(self) -> float:
@@ -159,7 +159,7 @@ def run_exactly(source: RayUnits, configs: list[CacheConfig]) -> Exact:
 
 
 def unfiltered(lines: np.ndarray, labels: np.ndarray, configs: list[CacheConfig]) -> None:
-    """Replay with and without pre-fetches through every cache, each access."""
+    """Replay with and without prefetches through every cache, each access."""
     counts = np.zeros(2, np.int64)
     for config in configs:
         for stream in ((lines, labels), demand_only(lines, labels)):
@@ -168,7 +168,7 @@ def unfiltered(lines: np.ndarray, labels: np.ndarray, configs: list[CacheConfig]
 
 
 def in_hottest_tenth(lines: np.ndarray, labels: np.ndarray, n_classes: int, config: CacheConfig) -> float:
-    """Return the share, in per cent, of the misses without pre-fetching that a tenth of the sets has."""
+    """Return the share, in per cent, of the misses without prefetching that a tenth of the sets has."""
     order = np.argsort(lines % n_classes, kind="stable")
     ends = np.searchsorted(lines[order] % n_classes, np.arange(n_classes + 1))
     misses = [

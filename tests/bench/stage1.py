@@ -110,7 +110,7 @@ def bench_both(scene: Scene, tree: Tree, embree, primary: Rays, shadow: Rays, re
 
 
 def bench_render(scene: Scene, tree: Tree, size: int, repeat: int) -> dict[str, float]:
-    """Whole renders on two threads: million accesses (pre-fetches included) per second of wall time."""
+    """Whole renders on two threads: million accesses (prefetches included) per second of wall time."""
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "run"
         taken = times(

@@ -29,7 +29,7 @@ TABLE1 = [CacheConfig(size, ways) for size in (8192, 16384) for ways in (1, 2)]
 
 
 def demand_lines(run: Run) -> tuple[np.ndarray, np.ndarray]:
-    """Return all accesses of a run as 32-byte lines and labels, pre-fetches labelled 11, in memory."""
+    """Return all accesses of a run as 32-byte lines and labels, prefetches labelled 11, in memory."""
     shift = 5 - run.footer.tree.node_bytes.bit_length() + 1
     pieces = [(node >> np.uint32(shift), kind) for node, kind in run.batches()]
     lines = np.concatenate([np.asarray(line, np.uint32) for line, _ in pieces])

@@ -79,7 +79,7 @@ def _filter(run: Run, repeat: int) -> dict[str, float]:
     taken = times(functions, repeat, time.process_time)
     passes = times({"one": one_pass, "three": three_passes}, repeat)
     return {
-        "replay of the four caches of Table I, with pre-fetches, without the exact filter: time": ratio(
+        "replay of the four caches of Table I, with prefetches, without the exact filter: time": ratio(
             taken["four caches, no filter"], taken["four caches"]
         ),
         "replay of one 2-way cache, demand only, without the exact filter: time": ratio(

@@ -95,7 +95,7 @@ MUTATIONS = [
     Mutation("sweep: sets and ways swapped", "cachesim/sweep.py", '"sets": config.n_sets,\n            "ways": config.ways', '"sets": config.ways,\n            "ways": config.n_sets', SWEPT),
     Mutation("sweep: miss rate without over all accesses", "cachesim/sweep.py", "ratio(self.demand_misses_without, self.demand_accesses)", "ratio(self.demand_misses_without, self.demand_accesses + self.prefetch_accesses)", SWEPT),
     Mutation("sweep: A is the same as B", "cachesim/sweep.py", "everything, demand = self._streams[0], self._streams[-1]", "everything, demand = self._streams[0], self._streams[0]", SWEPT),
-    Mutation("sweep: Parquet's rates as whole numbers", "nptrace_base/records.py", "arrow.get(found, pa.float64())", "arrow.get(found, pa.float32())", SWEPT),
+    Mutation("sweep: Parquet's rates as whole numbers", "nptrace_base/records.py", "arrow.get(type_, pa.float64())", "arrow.get(type_, pa.float32())", SWEPT),
     Mutation("plot: with and without swapped", "cachesim/report/sweep_output.py", 'rates = [100.0 * (values[rate] or 0.0)', 'rates = [100.0 * (values["demand_miss_rate_without" if rate == "demand_miss_rate" else "demand_miss_rate"] or 0.0)', PLOTTED),
     Mutation("plot: shares of one instead of per cent", "cachesim/report/sweep_output.py", "rates = [100.0 * (values[rate]", "rates = [(values[rate]", PLOTTED),
     # table1

@@ -245,7 +245,7 @@ def test_sweep(traces, tmp_path, tree):
 
 
 def test_a_plot_draws_the_rates(traces, tmp_path, monkeypatch):
-    """Over the sizes, for every number of ways: solid with pre-fetching, dashed without."""
+    """Over the sizes, for every number of ways: solid with prefetching, dashed without."""
     axes = pytest.importorskip("matplotlib.axes").Axes
     drawn, real = [], axes.plot
     monkeypatch.setattr(

@@ -141,7 +141,7 @@ def pieces(events, line_bytes):
 
 
 class Unit:
-    """The pre-fetch unit: a stack of [node, requested before?] entries and the pre-fetch pointer.
+    """The prefetch unit: a stack of [node, requested before?] entries and the prefetch pointer.
 
     ``absent`` are the nodes that are nowhere in memory, so that there is nothing to request.
     """
