@@ -11,6 +11,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 RUNS ?= traces
 THREADS ?= 2
+IN_PARALLEL := -n $(THREADS) --dist worksteal
 # What runs in minutes without compiled kernels: all commands on small inputs, and each kind of kernel against its model.
 NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::test_what_is_no_ray_hits_nothing_and_visits_the_root_at_most \
 	tests/rtrace/test_traverse.py::test_interval_ends_belong_to_the_interval tests/rtrace/test_traverse.py::test_visits_and_hits_on_a_lattice \
@@ -31,10 +32,10 @@ $(INSTALLED): pyproject.toml
 	@touch $@
 
 test: $(INSTALLED) ## Run the tests (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	$(BIN)/python -m pytest $(IN_PARALLEL) $(PYTEST_ARGS)
 
 test-nojit: $(INSTALLED) ## Run the tests of the kernels as plain Python (NUMBA_DISABLE_JIT=1), two minutes
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -p no:cacheprovider $(NOJIT) $(PYTEST_ARGS)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(IN_PARALLEL) -q -p no:cacheprovider $(NOJIT) $(PYTEST_ARGS)
 
 lint: $(INSTALLED) ## Check style, types and the import rules
 	$(BIN)/ruff check .
