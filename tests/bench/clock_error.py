@@ -200,8 +200,8 @@ def measure(run: Run, cells: Sequence[Cell], threads: int, methods: Sequence[tup
                     yield {
                         "scene": run.footer.scene.name, "tree": run.footer.tree.kind, "method": method, "parts": parts,
                         "rays": cell.clock.rays, "size_bytes": cell.config.size_bytes, "ways": cell.config.ways,
-                        "prefetch": prefetch.kind, "samples": len(of), **_against(of, truth[j], truth[none] / truth[j]),
-                        "time_share": f"{share:.3f}",
+                        "prefetch": prefetch.kind, "samples": len(of), "time_share": f"{share:.3f}",
+                        **_against(of, truth[j], truth[none] / truth[j]),
                     }  # fmt: skip
 
 
