@@ -99,6 +99,7 @@ bench: $(INSTALLED) ## Measure speed, about 15 minutes, and write docs/performan
 speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour or two, and write docs/speed-error.md (ARGS=--quick: a minute, writes nothing)
 	$(BIN)/python -m tests.bench.speed_error $(ARGS)
 	$(BIN)/python -m tests.bench.arithmetic $(ARGS)
+	$(BIN)/python -m tests.bench.clock_error $(ARGS)
 ifneq ($(ARGS),--quick)
 	$(BIN)/python -m tests.bench.estimate_speed
 	rm -f docs/data/calibration.csv

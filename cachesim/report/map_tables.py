@@ -5,6 +5,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from cachesim.clock.parts import PIECES
 from cachesim.report.pictures import PICTURES, check_plot, ending_of
 from nptrace_base.atomic import whole_file
 from nptrace_base.tables import Table, number
@@ -35,7 +36,22 @@ def tables(rows: Sequence[Row]) -> tuple[list[Table], list[str]]:
                 if values:
                     lines.append([tree, prefetch, str(rays), *_summary(values)])
             sections.add(len(lines) - 1)
-    return [Table("", header, lines, n_left=2, sections=sections, extra=("cells", "least"))], [*NOTES, *verdict(rows)]
+    return [Table("", header, lines, n_left=2, sections=sections, extra=("cells", "least"))], [
+        *NOTES,
+        *_doubt(rows),
+        *verdict(rows),
+    ]
+
+
+def _doubt(rows: Sequence[Row]) -> list[str]:
+    """Return how far the speed-ups of a map from part of the rays may be off."""
+    widths = [row["speed_up_half_width"] for row in rows if row.get("speed_up_half_width") is not None]
+    if not widths:
+        return []
+    return [
+        f"from one in {rows[0]['parts']} of the {PIECES} pieces of the rays: a speed-up is within its half-width of that of all "
+        f"rays in 95 % of the cells; half-width {number(median(widths), 3)} in the middle, {number(max(widths), 3)} at most."
+    ]
 
 
 def _summary(values: Sequence[float]) -> list[str]:
