@@ -45,6 +45,7 @@ def compare(
     from cachesim.clock.compare import compare as compare_run
     from cachesim.clock.compare import usual_policies
     from cachesim.report import compare_tables
+    from cachesim.report.bars import draw_speed_ups
     from cachesim.report.pictures import check_plot
     from traces.reader import open_run
 
@@ -68,7 +69,7 @@ def compare(
             )  # fmt: skip
         if picture is not None:
             bar.phase("plot")
-            compare_tables.plot(rows, picture)
+            draw_speed_ups([row.to_dict() for row in rows], picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
     done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began)

@@ -38,6 +38,7 @@ def sweep(
     from cachesim import sweep as sweeping
     from cachesim.grid import grid, parse_range, parse_ways_range
     from cachesim.report import sweep_output
+    from cachesim.report.curves import draw_curves
     from cachesim.report.pictures import check_plot
     from cachesim.source import open_source
 
@@ -60,7 +61,7 @@ def sweep(
                     n_events += progress.n
         if picture is not None:
             bar.phase("plot")
-            sweep_output.plot(rows, picture)
+            draw_curves([row.to_dict() for row in rows], picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
     n_runs = len({row.identity for row in rows})
