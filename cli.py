@@ -7,6 +7,6 @@ nptrace = Commands(
     help="Stage 1: render scenes and record every node access.",
 )  # fmt: skip
 npcache = Commands(
-    "npcache", ["replay", "sweep", "time", "compare", "estimate", "table1"],
+    "npcache", ["replay", "sweep", "time", "compare", "estimate", "table1", "plot"],
     help="Stage 2: replay node accesses through node caches.",
 )  # fmt: skip

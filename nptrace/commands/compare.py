@@ -41,6 +41,7 @@ def compare(
     npcache compare traces/bunny-bvh --size 16K --assoc 2 --rays 4 --plot compare.png
     """
     from cachesim.report import compare_tables
+    from cachesim.report.bars import draw_speed_ups
     from cachesim.report.pictures import check_plot
     from nptrace.studies import compared
 
@@ -58,7 +59,7 @@ def compare(
         )  # fmt: skip
         if picture is not None:
             bar.phase("plot")
-            compare_tables.plot(rows, picture)
+            draw_speed_ups([row.to_dict() for row in rows], picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
     done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began, "npcache table1")

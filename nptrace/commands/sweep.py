@@ -37,6 +37,7 @@ def sweep(
     """
     from cachesim.grid import grid, parse_range
     from cachesim.report import sweep_output
+    from cachesim.report.curves import draw_curves
     from cachesim.report.pictures import check_plot
     from nptrace.studies import swept
 
@@ -48,7 +49,7 @@ def sweep(
         rows = swept(paths, configs, prefetch, layout, bar, threads=threads)
         if picture is not None:
             bar.phase("plot")
-            sweep_output.plot(rows, picture)
+            draw_curves([row.to_dict() for row in rows], picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
     n_runs = len({row.identity for row in rows})
