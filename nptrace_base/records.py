@@ -40,10 +40,9 @@ def to_csv(records: Sequence[Record]) -> str:
     return out.getvalue()
 
 
-def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, type] | None = None) -> None:
-    """Write a Parquet file. ``types`` has those of columns that may hold nothing but None; other such columns are rates."""
+def to_arrow(records: Sequence[Record], types: Mapping[str, type] | None = None) -> Any:
+    """Return a pyarrow.Table. ``types`` has those of columns that may hold nothing but None; other such columns are rates."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     arrow = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
     fields = []
@@ -52,8 +51,16 @@ def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, typ
         found = next(held, (types or {}).get(name, float))
         fields.append(pa.field(name, arrow.get(found, pa.float64())))
     plain = [{name: _utf8(value) for name, value in record.items()} for record in records]
+    return pa.Table.from_pylist(plain, pa.schema(fields))
+
+
+def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, type] | None = None) -> None:
+    """Write the table of ``to_arrow`` as a Parquet file."""
+    import pyarrow.parquet as pq
+
+    table = to_arrow(records, types)
     with open(path, "wb") as file:  # by Python: Arrow opens only names that are UTF-8
-        pq.write_table(pa.Table.from_pylist(plain, pa.schema(fields)), file)
+        pq.write_table(table, file)
 
 
 def _utf8(value: Any) -> Any:
