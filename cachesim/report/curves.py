@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from cachesim.config import format_bytes
 from cachesim.report.cases import Row, facts_of, identity_of, ways_of
-from cachesim.report.pictures import COLOURS, SEQUENTIAL, drawn
+from cachesim.report.pictures import COLOURS, SEQUENTIAL, check_plot, drawn
 from cachesim.result import ratio
 from traces.identity import RunIdentity, labels
 
@@ -147,6 +147,7 @@ def lines_of(points: Sequence[Point], channels: Mapping[str, str]) -> list[Line]
 
 def draw_curves(rows: Sequence[Row], path: Path) -> None:
     """Draw the curves of rows into a PNG, SVG or PDF file, by the ending of its name."""
+    check_plot(path)
     points = drawn_ways(points_of(rows))
     channels = channels_of(points)
     lines = lines_of(points, channels)

@@ -1,5 +1,7 @@
 """Counts by pixel, level, node and ray type: those of a slow model, and their sums are the counts of the whole trace."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -188,3 +190,19 @@ def test_rays_that_do_not_begin_at_the_root_once_are_refused(tmp_path, change):
         with pytest.raises(NptraceError, match=f"not every ray reads the root.*told apart by {by}"):
             replay_by(run, [CacheConfig(128)], by, prefetch="none")
     assert sum(replay_by(run, [CacheConfig(128)], "node", prefetch="none")[0].counts["demand_accesses"]) > 0
+
+
+@pytest.mark.parametrize("by", ["level", "pixel"])
+def test_memory_does_not_grow_with_the_trace(tmp_path, by):
+    """Two million accesses against half a million: the same groups, the same batches."""
+    trace = make_trace("bvh", 3, n_rays=300, max_level=10)
+    repeats = [n * (1 << 19) // len(trace.rows) for n in (1, 4)]
+    peaks = []
+    for n in repeats:
+        run = write(trace, tmp_path / str(n), repeat=n)
+        tracemalloc.start()
+        replay_by(run, [CacheConfig(512)], by, threads=1)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    n_rays = 300 * (repeats[1] - repeats[0])
+    assert peaks[1] < 1.1 * peaks[0] + (64 * n_rays if by == "pixel" else 0)  # the pixel of each ray is kept, no access
