@@ -35,13 +35,14 @@ from traces.reader import Run, open_run
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "data" / "clock_error.csv"
 
-#: A part is one of so many.
-PARTS = (4, 8, 16)
 RAYS = (1, 4, 16, 64)
 CACHES = ((8192, 1), (16384, 2))
 PREFETCHES = ("none", "stack", "push")
 
 SPREAD, SPREAD_COLD, STRETCH = "every piece in", "every piece in, no warm-up", "one stretch"
+
+#: Which pieces make a part, and of how many parts it is one.
+METHODS = ((SPREAD, 4), (SPREAD, 8), (SPREAD, 16), (SPREAD_COLD, 8), (STRETCH, 8))
 
 FIELDS = (
     "scene", "tree", "method", "parts", "rays", "size_bytes", "ways", "prefetch", "samples", "time_share", "speed_up",
@@ -139,7 +140,6 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     arguments = parser.parse_args()
     names, rays, sizes = (("bunny",), (1, 16), CACHES[1:]) if arguments.quick else (SCENES, RAYS, CACHES)
-    methods = [(method, parts) for method in (SPREAD, SPREAD_COLD, STRETCH) for parts in PARTS]
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
@@ -152,9 +152,9 @@ def main() -> None:
                     for size, ways in sizes
                 ]
                 began = time.perf_counter()
-                rows += measure(run, cells, arguments.threads, methods)
+                rows += measure(run, cells, arguments.threads, METHODS)
                 print(f"{run.name}: {time.perf_counter() - began:.0f} s", flush=True)
-    for method, parts in methods:
+    for method, parts in METHODS:
         of = [row for row in rows if (row["method"], row["parts"]) == (method, parts)]
         print(f"{method} 1/{parts}: time {np.median([float(row['time_share']) for row in of]):.2f}", end="")
         for what in ("speed_up", "cycles"):
