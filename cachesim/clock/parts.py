@@ -28,8 +28,8 @@ PIECES = 128
 #: Primary rays that a run has at least: with smaller pieces, the rays that overlap with the next piece weigh too much, and the
 #: empty cache at the run's beginning, which pieces do not have.
 LEAST = 64 * PIECES
-#: No interval is narrower than this share on either side: where nearly all pieces are alike, as with so many rays in flight that
-#: the port is always busy, those picked may miss the few that are not.
+#: No interval is narrower than this share on either side: where nearly all pieces are alike, as with so many rays in flight
+#: that the port is always busy, those picked may miss the few that are not.
 NARROWEST = 0.002
 #: The smallest part is one of so many: it has eight pieces.
 MOST_PARTS = 16

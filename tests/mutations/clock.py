@@ -71,7 +71,7 @@ MUTATIONS = [
     Mutation("predictor: a request stays when its node is read", policy("predictor"), "if first <= line < first + machine.tree.n_lines[node]:", "if line < 0:", PREDICTOR),
     Mutation("predictor: rays that miss are learned", policy("predictor"), "if node <= 0 or not self.is_hit[ray]:", "if node <= 0:", PREDICTOR),
     Mutation("predictor: a right prediction is replaced", policy("predictor"), "if above != self.predicted[slot]:", "if True:", PREDICTOR),
-    Mutation("predictor: a look-up refreshes nothing", policy("predictor"), "    put_first(unit, of, way, unit.keys[ray], node)\n    return node\n", "    return node\n", PREDICTOR),
+    Mutation("predictor: a look-up refreshes nothing", policy("predictor"), "    put_first(unit, of, way, unit.keys[ray], node)\n    return node\n", "    return node\n", PREDICTOR + " -k recently"),
     Mutation("predictor: the path goes one level higher", policy("predictor"), "while left > 0 and machine.tree.level[node] > 1:", "while left >= 0 and machine.tree.level[node] > 1:", PREDICTOR),
     Mutation("predictor: rays are counted by slot", KERNEL, "machine.sp[slot], machine.ray[slot] = 0, number", "machine.sp[slot], machine.ray[slot] = 0, slot", PREDICTOR),
     Mutation("predictor: theta keeps the lower bits", policy("predictor"), "np.hypot(x, y), z)).astype(np.int64) >> (8 - direction_bits)", "np.hypot(x, y), z)).astype(np.int64) & ((1 << direction_bits) - 1)", PREDICTOR + " -k key"),
