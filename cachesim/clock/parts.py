@@ -94,6 +94,8 @@ def time_part(
     NptraceError
         The run has too few rays, or its shadow rays do not follow their primary rays; a policy needs all rays.
     """
+    if not 2 <= parts <= MOST_PARTS:
+        raise NptraceError(f"a part is one of 2 to {MOST_PARTS}, not of {parts}; choose another, or time all of the run")
     source = RunSource(run)
     stream, workshop = read_stream(source, LEAST), Workshop(source, threads, is_whole=False)
     check(configs, clocks, stream.rows.waits_for.size)
