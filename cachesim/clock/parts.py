@@ -14,8 +14,9 @@ import numpy as np
 from cachesim.clock.parameters import Clock
 from cachesim.clock.state import Rows
 from cachesim.clock.stretches import NOTHING, Stretches
-from cachesim.clock.timing import Job, Workshop, check, tree_of
+from cachesim.clock.timing import Job, Workshop, check
 from cachesim.config import CacheConfig
+from cachesim.policies.machine import Tree
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.sampling.two_phase import t_quantile
 from cachesim.source import RunSource
@@ -112,9 +113,11 @@ def time_part(
         assert job is not None
         return count(job, *picked(stream, pieces, clock.rays))
 
+    # Before the threads, which then find the trees read.
+    reads = {size: _reads(workshop.tree(size)[0], stream) for size in {config.line_bytes for config in configs}}
     with thread_pool(threads) as pool:
         counts = iter(pool.map(counted, product(cells, policies)))
-    found, reads = [], {config.line_bytes: _reads(source, config.line_bytes, stream) for config in configs}
+    found = []
     for config, clock in cells:
         without, per_ray = next(counts), reads[config.line_bytes] / max(run.footer.n_rays, 1)
         slow = figures(without, without).cycles_per_read * per_ray
@@ -124,9 +127,8 @@ def time_part(
     return found
 
 
-def _reads(source: RunSource, line_bytes: int, stream: Stream) -> int:
+def _reads(tree: Tree, stream: Stream) -> int:
     """Return the lines that all demand reads of a run look up."""
-    tree, _ = tree_of(source, line_bytes)
     return int(np.sum(tree.n_lines[stream.rows.nodes], dtype=np.int64))
 
 
