@@ -14,8 +14,9 @@ import numpy as np
 from cachesim.clock.parameters import Clock
 from cachesim.clock.state import Rows
 from cachesim.clock.stretches import NOTHING, Stretches
-from cachesim.clock.timing import Job, Workshop, check, tree_of
+from cachesim.clock.timing import Job, Workshop, check
 from cachesim.config import CacheConfig
+from cachesim.policies.machine import Tree
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.sampling.two_phase import t_quantile
 from cachesim.source import RunSource
@@ -25,6 +26,12 @@ from traces.reader import Run
 
 #: Pieces of a run: at 128x128 pixels, about as many rays as a row of the picture has.
 PIECES = 128
+#: Primary rays that a run has at least: with smaller pieces, the rays that overlap with the next piece weigh too much, and the
+#: empty cache at the run's beginning, which pieces do not have.
+LEAST = 64 * PIECES
+#: No interval is narrower than this share on either side: where nearly all pieces are alike, as with so many rays in flight
+#: that the port is always busy, those picked may miss the few that are not.
+NARROWEST = 0.002
 #: The smallest part is one of so many: it has eight pieces.
 MOST_PARTS = 16
 
@@ -88,8 +95,10 @@ def time_part(
     NptraceError
         The run has too few rays, or its shadow rays do not follow their primary rays; a policy needs all rays.
     """
+    if not 2 <= parts <= MOST_PARTS:
+        raise NptraceError(f"a part is one of 2 to {MOST_PARTS}, not of {parts}; choose another, or time all of the run")
     source = RunSource(run)
-    stream, workshop = read_stream(source), Workshop(source, threads, is_whole=False)
+    stream, workshop = read_stream(source, LEAST), Workshop(source, threads, is_whole=False)
     check(configs, clocks, stream.rows.waits_for.size)
     policies = [parse_prefetch(name) for name in ("none", *prefetches)]
     for prefetch in policies:
@@ -104,9 +113,11 @@ def time_part(
         assert job is not None
         return count(job, *picked(stream, pieces, clock.rays))
 
+    # Before the threads, which then find the trees read.
+    reads = {size: _reads(workshop.tree(size)[0], stream) for size in {config.line_bytes for config in configs}}
     with thread_pool(threads) as pool:
         counts = iter(pool.map(counted, product(cells, policies)))
-    found, reads = [], {config.line_bytes: _reads(source, config.line_bytes, stream) for config in configs}
+    found = []
     for config, clock in cells:
         without, per_ray = next(counts), reads[config.line_bytes] / max(run.footer.n_rays, 1)
         slow = figures(without, without).cycles_per_read * per_ray
@@ -116,22 +127,21 @@ def time_part(
     return found
 
 
-def _reads(source: RunSource, line_bytes: int, stream: Stream) -> int:
+def _reads(tree: Tree, stream: Stream) -> int:
     """Return the lines that all demand reads of a run look up."""
-    tree, _ = tree_of(source, line_bytes)
     return int(np.sum(tree.n_lines[stream.rows.nodes], dtype=np.int64))
 
 
-def read_stream(source: RunSource) -> Stream:
-    """Return the rows of a run; pieces begin at primary rays."""
+def read_stream(source: RunSource, least: int = PIECES) -> Stream:
+    """Return the rows of a run; pieces begin at primary rays. NptraceError if there are fewer than ``least``."""
     stretches = Stretches(source)
     stretches.keep(0, 0)
     *_, rows = stretches
     starts = np.flatnonzero(rows.waits_for == NOTHING)
-    if starts.size < PIECES or np.any(rows.waits_for >= 0):
+    if starts.size < least or np.any(rows.waits_for >= 0):
         raise NptraceError(
-            f"{source.identity.run} cannot be timed in part: that takes {PIECES} primary rays that read nodes, each with its "
-            f"shadow ray behind it, and it has {starts.size} of them; time all of it"
+            f"{source.identity.run} cannot be timed in part: that takes {least} primary rays that read nodes, each with its "
+            f"shadow ray behind it, and it has {starts.size} of them; time all of it, or trace a larger picture"
         )
     wanted = np.searchsorted(starts, np.linspace(0, rows.waits_for.size, PIECES + 1)[1:-1])
     return Stream(rows, np.array([0, *starts[np.clip(wanted, 0, starts.size - 1)], rows.waits_for.size]))
@@ -202,8 +212,8 @@ def figures(without: Counted, with_: Counted) -> Figures:
     if n < 5:
         return Figures(rate, slow / rate, np.inf, np.inf)
     scale = t_quantile(0.025, n - 1) * np.sqrt(n / (n - 1) * (1 - n / PIECES))
-    half_widths = [float(scale * np.sqrt(np.sum(each**2))) for each in (residuals, slow_residuals - residuals)]
-    return Figures(rate, slow / rate, *half_widths)
+    half_widths = [scale * np.sqrt(np.sum(each**2)) for each in (residuals, slow_residuals - residuals)]
+    return Figures(rate, slow / rate, *(max(float(each), NARROWEST) for each in half_widths))
 
 
 def _rate(counts: Counted) -> tuple[float, np.ndarray]:

@@ -244,7 +244,7 @@ class Workshop:
         policy = prefetch.policy
         if is_scout and policy.scout is None:
             return None
-        tree, n_lines = self._tree(config.line_bytes)
+        tree, n_lines = self.tree(config.line_bytes)
         machine = make_machine(tree, clock.rays, n_lines)
         run = self._source.run
         facts = Facts(run.footer.tree.node_bytes, config.line_bytes, run.n_accesses, self._rays)
@@ -280,7 +280,8 @@ class Workshop:
         assert policy.make_unit is not None
         return policy.make_unit(machine, facts, **options, **({"scouted": scout.unit} if scout else {}))
 
-    def _tree(self, line_bytes: int) -> tuple[Tree, int]:
+    def tree(self, line_bytes: int) -> tuple[Tree, int]:
+        """Return ``tree_of`` the source, which is read once; not by several threads at a time."""
         if line_bytes not in self._trees:
             self._trees[line_bytes] = tree_of(self._source, line_bytes)
         return self._trees[line_bytes]

@@ -48,8 +48,8 @@ def _doubt(rows: Sequence[Row]) -> list[str]:
     if not widths:
         return []
     return [
-        f"one in {rows[0]['parts']} of the {PIECES} pieces of the rays: a speed-up is within its half-width of that of all "
-        f"rays in 95 % of the cells; half-width {number(median(widths), 3)} in the middle, {number(max(widths), 3)} at most."
+        f"from one in {rows[0]['parts']} of the {PIECES} pieces of the rays: a speed-up is within its half-width of that of "
+        f"all rays in 95 % of the cells; it is {number(median(widths), 3)} in the middle and {number(max(widths), 3)} at most."
     ]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from nptrace.groups import Command
+from nptrace.groups import BadInput, Command
 from nptrace.options import threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
@@ -42,6 +42,7 @@ def map_(
     nptrace map bunny --quick --part 8
     nptrace map bunny conference sibenik sponza -o map.parquet --plot map.png
     """
+    from cachesim.clock.parts import LEAST
     from cachesim.report import map_tables
     from cachesim.report.pictures import check_plot
     from nptrace.break_even import QUICK, Grid, break_even
@@ -51,6 +52,11 @@ def map_(
     grid, began = QUICK if quick else Grid(), time.perf_counter()
     if picture is not None:
         check_plot(picture)
+    shooting = Shooting(*parse_size(pixels))
+    if parts > 1 and shooting.width * shooting.height < LEAST:
+        raise BadInput(
+            f"--part takes {LEAST:,} primary rays, and {pixels} pixels have fewer; time all rays, or take more pixels"
+        )
     scenes = load_scenes(names, strict, offline)
     with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
 
@@ -58,7 +64,7 @@ def map_(
             bar.job(name)
             return bar.phase("time", len(grid.caches))
 
-        rows = break_even(scenes, Shooting(*parse_size(pixels)), grid, out, threads=threads, on_run=on_run, parts=parts)
+        rows = break_even(scenes, shooting, grid, out, threads=threads, on_run=on_run, parts=parts)
     if picture is not None:
         map_tables.plot(rows, picture)
     if picture is None or output.is_asked_for:

@@ -2,7 +2,7 @@
 
 The rays of a run are cut into pieces of consecutive rays. A part is every f-th piece, or one stretch of pieces; each is timed
 behind a warm-up, the piece before, that is not counted. What is estimated are cycles per read of a node's line: the trace has
-the number of reads, so that cycles per ray follow. Every offset of a part is tried: its figures against the full run's, and
+the number of reads, so that cycles per ray follow. Four of the parts are tried: their figures against the full run's, and
 whether the 95 % interval of its pieces holds the full run's figure. Written to docs/data/clock_error.csv; ``--quick`` writes
 nothing.
 """
@@ -35,13 +35,16 @@ from traces.reader import Run, open_run
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "data" / "clock_error.csv"
 
-#: A part is one of so many.
-PARTS = (4, 8, 16)
 RAYS = (1, 4, 16, 64)
 CACHES = ((8192, 1), (16384, 2))
 PREFETCHES = ("none", "stack", "push")
 
 SPREAD, SPREAD_COLD, STRETCH = "every piece in", "every piece in, no warm-up", "one stretch"
+
+#: Which pieces make a part, and of how many parts it is one.
+METHODS = ((SPREAD, 4), (SPREAD, 8), (SPREAD, 16), (SPREAD_COLD, 8), (STRETCH, 8))
+#: Parts of a run that are tried.
+SAMPLES = 4
 
 FIELDS = (
     "scene", "tree", "method", "parts", "rays", "size_bytes", "ways", "prefetch", "samples", "time_share", "speed_up",
@@ -88,13 +91,16 @@ def measure(run: Run, cells: Sequence[Cell], threads: int, methods: Sequence[tup
             made.step(stream.rows)
             return int(made.clock.numbers[0].last_cycle), reads_of(made.clock.numbers[0])
 
-        list(pool.map(full, jobs))  # once before, for what has to be compiled
+        list(map(full, jobs[: len(prefetches)]))  # once before: what is read once and compiled once
         began = time.process_time()
         truth = [figure[0] / figure[1] for figure in pool.map(full, jobs)]
         full_time = time.process_time() - began
         for method, parts in methods:
             began = time.process_time()
-            samples = [all_jobs(pieces, is_warm=method != SPREAD_COLD) for pieces in parts_of(method, parts)]
+            samples = [
+                all_jobs(pieces, is_warm=method != SPREAD_COLD)
+                for pieces in parts_of(method, parts)[:: max(parts // SAMPLES, 1)]
+            ]
             share = (time.process_time() - began) / len(samples) / full_time
             for j, (cell, prefetch) in enumerate(jobs):
                 if prefetch.kind != "none":
@@ -132,6 +138,14 @@ def runs_of(scene: Scene, side: int, folder: Path) -> Iterator[Run]:
         yield open_run(path)
 
 
+def write(rows: Sequence[dict[str, Any]]) -> None:
+    """Write the rows measured so far."""
+    with open(OUT, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -139,7 +153,6 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     arguments = parser.parse_args()
     names, rays, sizes = (("bunny",), (1, 16), CACHES[1:]) if arguments.quick else (SCENES, RAYS, CACHES)
-    methods = [(method, parts) for method in (SPREAD, SPREAD_COLD, STRETCH) for parts in PARTS]
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
@@ -152,9 +165,11 @@ def main() -> None:
                     for size, ways in sizes
                 ]
                 began = time.perf_counter()
-                rows += measure(run, cells, arguments.threads, methods)
+                rows += measure(run, cells, arguments.threads, METHODS)
                 print(f"{run.name}: {time.perf_counter() - began:.0f} s", flush=True)
-    for method, parts in methods:
+                if not arguments.quick:
+                    write(rows)
+    for method, parts in METHODS:
         of = [row for row in rows if (row["method"], row["parts"]) == (method, parts)]
         print(f"{method} 1/{parts}: time {np.median([float(row['time_share']) for row in of]):.2f}", end="")
         for what in ("speed_up", "cycles"):
@@ -166,11 +181,6 @@ def main() -> None:
                 end="",
             )
         print()
-    if not arguments.quick:
-        with open(OUT, "w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, FIELDS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from cachesim.clock.parameters import PRESETS
 from cachesim.clock.stretches import Stretches
 from cachesim.clock.timing import time_run
 from cachesim.config import CacheConfig
-from cachesim.policies.predictor import folded, keys_of
+from cachesim.policies.predictor import Predictor, folded, keys_of, learn, look_up
 from cachesim.prefetch import parse_prefetch
 from cachesim.source import RunSource
 from nptrace_base.errors import NptraceError
@@ -34,6 +34,23 @@ def test_every_number_is_that_of_the_model(case, numbers, config, n_slots, optio
     model = SlowPredictor(case.lines, case.trace.parent, case.traced, **options)
     assert fast == slow_account(case, numbers, config_of(config), n_slots, model)
     check_account(fast, n_slots)
+
+
+def test_the_key_used_least_recently_is_replaced():
+    """One set of two ways, and three keys: looking a key up counts as a use, and so does learning its node again."""
+    zeros, ray = np.zeros(1, np.int64), [np.int64(i) for i in range(3)]
+    unit = Predictor(
+        np.array([10, 11, 12]), np.zeros(3, np.int64), np.ones(3, bool), np.full((1, 2), -1), np.zeros((1, 2), np.int64),
+        zeros.reshape(1, 1), zeros, zeros, zeros, zeros, 3,
+    )  # fmt: skip
+    learn(unit, ray[0], np.int64(5))
+    learn(unit, ray[1], np.int64(6))
+    assert look_up(unit, ray[0]) == 5
+    learn(unit, ray[2], np.int64(7))
+    assert (look_up(unit, ray[1]), look_up(unit, ray[0]), look_up(unit, ray[2])) == (-1, 5, 7)
+    learn(unit, ray[0], np.int64(8))
+    learn(unit, ray[1], np.int64(6))
+    assert (look_up(unit, ray[2]), look_up(unit, ray[0]), look_up(unit, ray[1])) == (-1, 8, 6)
 
 
 @given(st.integers(0, 1 << 20), st.integers(0, 40), st.integers(0, 10), st.integers(0, 8))
