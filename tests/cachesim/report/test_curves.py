@@ -100,6 +100,8 @@ def test_of_many_ways_the_powers_of_two_are_drawn():
     found, channels = lines([row(ways=ways, size_bytes=4096) for ways in range(1, 17)])
     assert [line.facts["ways"] for line in found] == ["1-way", "2-way", "4-way", "8-way", "16-way"]
     assert channels == {"ways": "colour"}
+    found, _ = lines([row(ways=ways, size_bytes=ways * 64) for ways in (3, 5, 6, 7, 9, 10, 11, 12)])
+    assert [line.facts["ways"] for line in found] == ["3-way", "5-way", "6-way", "7-way", "9-way", "10-way"]
 
 
 @pytest.mark.parametrize("rates", [[10], [0, 10], [0], [1, 90]])
