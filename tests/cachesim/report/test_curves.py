@@ -84,6 +84,11 @@ def test_layouts_policies_and_orders_are_lines_of_one_panel():
     ]
 
 
+def test_runs_of_one_name_are_two_lines():
+    found, _ = lines([row(path="a/x", run="x", scene="bunny"), row(path="b/x", run="x", scene="room", demand_misses=20)])
+    assert [(line.panel, line.rates) for line in found] == [(("a/x (bunny)",), [0.1]), (("b/x (room)",), [0.2])]
+
+
 def test_the_rate_without_prefetches_is_a_line_once():
     found, channels = lines([row(prefetch=each, prefetch_accesses=5, demand_misses=6) for each in ("traced", "stack")])
     assert channels == {"prefetch": "dash"}
