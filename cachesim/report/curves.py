@@ -19,7 +19,7 @@ from traces.identity import RunIdentity, labels
 CHANNELS = {"dash": 4, "colour": 8, "marker": 8}
 _DASHES = ("-", "--", ":", "-.")
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
-#: Most numbers of ways whose lines are legible; of more, the powers of two are drawn.
+#: Most numbers of ways whose lines are legible; of more, the powers of two are drawn, or the first if there is none.
 MOST_WAYS = 6
 #: Most lines of a panel.
 MOST_LINES = 16
@@ -103,8 +103,8 @@ def drawn_ways(points: Sequence[Point]) -> list[Point]:
     numbers = {int(text.removesuffix("-way")) for text in (point.facts["ways"] for point in points) if text != "full"}
     if len(numbers) <= MOST_WAYS:
         return list(points)
-    kept = {f"{n}-way" for n in numbers if n & (n - 1) == 0} | {"full"}
-    return [point for point in points if point.facts["ways"] in kept]
+    kept = [n for n in numbers if n & (n - 1) == 0] or sorted(numbers)[:MOST_WAYS]
+    return [point for point in points if point.facts["ways"] in {"full", *(f"{n}-way" for n in kept)}]
 
 
 def channels_of(points: Sequence[Point]) -> dict[str, str]:

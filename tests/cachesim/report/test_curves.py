@@ -84,6 +84,11 @@ def test_layouts_policies_and_orders_are_lines_of_one_panel():
     ]
 
 
+def test_runs_of_one_name_are_two_lines():
+    found, _ = lines([row(path="a/x", run="x", scene="bunny"), row(path="b/x", run="x", scene="room", demand_misses=20)])
+    assert [(line.panel, line.rates) for line in found] == [(("a/x (bunny)",), [0.1]), (("b/x (room)",), [0.2])]
+
+
 def test_the_rate_without_prefetches_is_a_line_once():
     found, channels = lines([row(prefetch=each, prefetch_accesses=5, demand_misses=6) for each in ("traced", "stack")])
     assert channels == {"prefetch": "dash"}
@@ -100,6 +105,8 @@ def test_of_many_ways_the_powers_of_two_are_drawn():
     found, channels = lines([row(ways=ways, size_bytes=4096) for ways in range(1, 17)])
     assert [line.facts["ways"] for line in found] == ["1-way", "2-way", "4-way", "8-way", "16-way"]
     assert channels == {"ways": "colour"}
+    found, _ = lines([row(ways=ways, size_bytes=ways * 64) for ways in (3, 5, 6, 7, 9, 10, 11, 12)])
+    assert [line.facts["ways"] for line in found] == ["3-way", "5-way", "6-way", "7-way", "9-way", "10-way"]
 
 
 @pytest.mark.parametrize("rates", [[10], [0, 10], [0], [1, 90]])
