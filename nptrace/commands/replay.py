@@ -14,7 +14,7 @@ from nptrace.sources import LAYOUT_HELP, again, chosen_sources, prefetch_help, t
 
 
 @click.command(cls=Command, old={"--report": "--format"})
-@click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @size_option()
 @ways_option()
@@ -30,7 +30,9 @@ def replay(
     sources: tuple[Path, ...], folder: Path, size: list[int], ways: list[tuple[str, ...]], line: list[int],
     policy: list[str], seed: int, prefetch: list[str], layout: list[str], three_c: bool, threads: int, output: Output,
 ) -> None:  # fmt: skip
-    """Replay runs, or DineroIV traces, through every combination of the cache options, exactly.
+    """Replay runs, or traces of addresses, through every combination of the cache options, exactly.
+
+    A FILE is a DineroIV trace, also compressed, or CSV or Parquet with a column address and, if you like, type and size.
 
     \b
     npcache replay --size 8K --assoc 2
