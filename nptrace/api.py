@@ -37,6 +37,7 @@ class RenderOptions(TypedDict, total=False):
     seed: int
     kd: str
     bvh: str
+    rays: Path | str | None
     out: Path | str
     name: str | Sequence[str]
     overwrite: bool
@@ -62,8 +63,8 @@ def render(
 def render(
     *scenes: "str | Path | Scene", accel: Given = (), pixels: str = "128x128", camera: str | Sequence[str] | None = None,
     light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, kd: str = "", bvh: str = "sweep",
-    bvh_nodes: Given = 32, out: Path | str = "traces", name: str | Sequence[str] = (), overwrite: bool = False,
-    threads: int | None = None, strict: bool = False, offline: bool = False,
+    bvh_nodes: Given = 32, rays: Path | str | None = None, out: Path | str = "traces", name: str | Sequence[str] = (),
+    overwrite: bool = False, threads: int | None = None, strict: bool = False, offline: bool = False,
 ) -> Run | list[Run]:  # fmt: skip
     """Trace pictures of scenes, as ``nptrace render`` does, and return the runs, which are on disk.
 
@@ -75,6 +76,8 @@ def render(
         Trees, ``"kdtree"`` and ``"bvh"``; both by default.
     camera : str or list
         One, or several for several runs; by default the scene's or a fitted one.
+    rays : Path, optional
+        Parquet file of rays to trace instead of a picture's (``rtrace.ray_file``).
     out : Path
         Folder for the runs.
 
@@ -88,9 +91,10 @@ def render(
     NptraceError
         A value is wrong, a scene is not found or cannot be read, or a run of other content has the name.
     """
-    from nptrace.scene_options import check_run_names, load_scenes, parse_tree, tree_params
+    from nptrace.scene_options import check_run_names, load_scenes, own_rays, parse_tree, tree_params
     from nptrace.studies import rendered
     from rtrace.camera import ORDERS, parse_size
+    from rtrace.ray_file import RayFile
     from rtrace.render import Shooting
 
     trees, sizes = listed("accel", accel, parse_tree), listed("bvh_nodes", bvh_nodes, str)
@@ -101,7 +105,10 @@ def render(
     if order not in ORDERS:
         raise NptraceError(f"order: {order!r} is not one of {', '.join(ORDERS)}")
     check_run_names(names, len(scenes) * max(len(cameras), 1))
-    shooting = Shooting(*parse_size(pixels), order, batch, seed)
+    shooting: Shooting | RayFile
+    shooting = picture = Shooting(*parse_size(pixels), order, batch, seed)
+    if rays is not None:
+        shooting = own_rays(Path(rays), picture, [*cameras, *([light] if light else [])])
     params = tree_params(trees, kd, bvh, sizes)
     seen = load_scenes([str(each) if isinstance(each, Path) else each for each in scenes], strict, offline, cameras, light)
     with Progress(len(seen) * len(params)) as bar:

@@ -101,7 +101,7 @@ def _numbers() -> tuple[str, ...]:
 
 def _defaults(function: str) -> dict[str, Any]:
     """Return the options of a function of ``nptrace.api``, and their defaults."""
-    left_out = (*NOT_OF_A_STUDY, "out", "name", "overwrite") if function == "render" else NOT_OF_A_STUDY
+    left_out = (*NOT_OF_A_STUDY, "out", "name", "overwrite", "rays") if function == "render" else NOT_OF_A_STUDY
     parameters = inspect.signature(getattr(api, function)).parameters.values()
     return {each.name: each.default for each in parameters if each.name not in left_out}
 
