@@ -15,6 +15,7 @@ from nptrace_base.errors import NptraceError
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:
+    from cachesim.config import CacheConfig
     from nptrace.clock_options import Machines
     from rtrace.scenes.scene import Scene
 
@@ -36,6 +37,7 @@ class RenderOptions(TypedDict, total=False):
     seed: int
     kd: str
     bvh: str
+    rays: Path | str | None
     out: Path | str
     name: str | Sequence[str]
     overwrite: bool
@@ -61,8 +63,8 @@ def render(
 def render(
     *scenes: "str | Path | Scene", accel: Given = (), pixels: str = "128x128", camera: str | Sequence[str] | None = None,
     light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, kd: str = "", bvh: str = "sweep",
-    bvh_nodes: Given = 32, out: Path | str = "traces", name: str | Sequence[str] = (), overwrite: bool = False,
-    threads: int | None = None, strict: bool = False, offline: bool = False,
+    bvh_nodes: Given = 32, rays: Path | str | None = None, out: Path | str = "traces", name: str | Sequence[str] = (),
+    overwrite: bool = False, threads: int | None = None, strict: bool = False, offline: bool = False,
 ) -> Run | list[Run]:  # fmt: skip
     """Trace pictures of scenes, as ``nptrace render`` does, and return the runs, which are on disk.
 
@@ -74,6 +76,8 @@ def render(
         Trees, ``"kdtree"`` and ``"bvh"``; both by default.
     camera : str or list
         One, or several for several runs; by default the scene's or a fitted one.
+    rays : Path, optional
+        Parquet file of rays to trace instead of a picture's (``rtrace.ray_file``).
     out : Path
         Folder for the runs.
 
@@ -87,12 +91,13 @@ def render(
     NptraceError
         A value is wrong, a scene is not found or cannot be read, or a run of other content has the name.
     """
-    from nptrace.scene_options import check_run_names, load_scenes, parse_tree, tree_params
+    from nptrace.scene_options import check_run_names, load_scenes, own_rays, parse_tree, tree_params
     from nptrace.studies import rendered
     from rtrace.camera import ORDERS, parse_size
+    from rtrace.ray_file import RayFile
     from rtrace.render import Shooting
 
-    trees, sizes = _listed("accel", accel, parse_tree), _listed("bvh_nodes", bvh_nodes, str)
+    trees, sizes = listed("accel", accel, parse_tree), listed("bvh_nodes", bvh_nodes, str)
     cameras = [camera] if isinstance(camera, str) else list(camera or ())
     names = [name] if isinstance(name, str) else list(name)
     if not scenes:
@@ -100,7 +105,10 @@ def render(
     if order not in ORDERS:
         raise NptraceError(f"order: {order!r} is not one of {', '.join(ORDERS)}")
     check_run_names(names, len(scenes) * max(len(cameras), 1))
-    shooting = Shooting(*parse_size(pixels), order, batch, seed)
+    shooting: Shooting | RayFile
+    shooting = picture = Shooting(*parse_size(pixels), order, batch, seed)
+    if rays is not None:
+        shooting = own_rays(Path(rays), picture, [*cameras, *([light] if light else [])])
     params = tree_params(trees, kd, bvh, sizes)
     seen = load_scenes([str(each) if isinstance(each, Path) else each for each in scenes], strict, offline, cameras, light)
     with Progress(len(seen) * len(params)) as bar:
@@ -142,14 +150,11 @@ def replay(
     NptraceError
         A value is wrong, or a source cannot be read.
     """
-    from cachesim.grid import caches, parse_ways_range
     from cachesim.report import replay_tables
     from nptrace.studies import replayed
 
-    configs = caches(
-        _sizes(size), _listed("ways", ways, parse_ways_range), _lines(line), _listed("policy", policy, str.lower), seed
-    )  # fmt: skip
-    policies, layouts, chosen = _listed("prefetch", prefetch, str), _listed("layout", layout, str), _chosen(sources, traces)
+    configs, policies, layouts = replay_plan(size, ways, line, policy, seed, prefetch, layout)
+    chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
         results = replayed(chosen, configs, policies, layouts, bar, three_c=three_c, threads=threads)
     return Results("replay", [each.to_dict() for each in results], lambda: replay_tables.tables(results))
@@ -164,13 +169,11 @@ def sweep(
     The parameters are those of ``replay``; a cache is in the sweep if its size lies in a range and its number of sets is a
     power of two.
     """
-    from cachesim.grid import grid, parse_range, parse_ways_range
     from cachesim.report import sweep_output
     from nptrace.studies import swept
 
-    numbers = [number for named in _listed("ways", ways, parse_ways_range) for number in named]
-    configs = grid(_listed("size", size, parse_range), numbers, _lines(line))
-    policies, layouts, chosen = _listed("prefetch", prefetch, str), _listed("layout", layout, str), _chosen(sources, traces)
+    configs, policies, layouts = sweep_plan(size, ways, line, prefetch, layout)
+    chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
         rows = swept(chosen, configs, policies, layouts, bar, threads=threads)
     return Results("sweep", [row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
@@ -214,8 +217,8 @@ def time(
 
     if by not in (None, *BY):
         raise NptraceError(f"by: {by!r} is not one of {', '.join(BY)}")
-    machines = _machines(machine, size, ways, line, policy, seed, numbers)
-    policies, layouts, chosen = _listed("prefetch", prefetch, str), _listed("layout", layout, str), _chosen(sources, traces)
+    machines, policies, layouts = time_plan(machine, size, ways, line, policy, seed, prefetch, layout, **numbers)
+    chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts)) as bar:
         found = timed(
             chosen, machines.configs, machines.clocks, policies, layouts, bar, by=by or "nothing", threads=threads
@@ -240,7 +243,7 @@ def compare(
     from nptrace.studies import compared
 
     config, clock = one_machine(_machines(machine, size, ways, line, policy, seed, numbers))
-    policies, chosen = _listed("prefetch", prefetch, str), _chosen(sources, traces)
+    policies, chosen = listed("prefetch", prefetch, str), _chosen(sources, traces)
     with Progress(len(chosen)) as bar:
         rows = compared(chosen, config, clock, policies, layout, bar, baselines=baselines, threads=threads)
     return Results("compare", [row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
@@ -261,27 +264,76 @@ def table1(
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
 
 
-def _listed(name: str, value: Any, item: Callable[[str], _T]) -> list[_T]:
+class OptionError(NptraceError):
+    """A wrong value of the option ``name``."""
+
+    def __init__(self, name: str, sentence: object) -> None:
+        super().__init__(f"{name}: {sentence}")
+        self.name = name
+
+
+Plan = tuple[list["CacheConfig"], list[str], list[str]]
+
+
+def replay_plan(
+    size: Given, ways: Given, line: Given, policy: Given, seed: int, prefetch: Given, layout: Given
+) -> Plan:  # fmt: skip
+    """Return the caches, prefetch policies and layouts that the options of ``replay`` name."""
+    from cachesim.grid import caches, parse_ways_range
+
+    parsed = _sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
+    return caches(*parsed, seed), _prefetches(prefetch), _layouts(layout)
+
+
+def sweep_plan(size: Given, ways: Given, line: Given, prefetch: Given, layout: Given) -> Plan:
+    """Return the caches, prefetch policies and layouts that the options of ``sweep`` name."""
+    from cachesim.grid import grid, parse_range, parse_ways_range
+
+    numbers = [number for named in listed("ways", ways, parse_ways_range) for number in named]
+    return grid(listed("size", size, parse_range), numbers, _lines(line)), _prefetches(prefetch), _layouts(layout)
+
+
+def time_plan(
+    machine: str, size: Given, ways: Given, line: Given, policy: Given, seed: int, prefetch: Given, layout: Given,
+    **numbers: Unpack[MachineOptions],
+) -> "tuple[Machines, list[str], list[str]]":  # fmt: skip
+    """Return the machines, prefetch policies and layouts that the options of ``time`` name."""
+    return _machines(machine, size, ways, line, policy, seed, numbers), _prefetches(prefetch), _layouts(layout)
+
+
+def listed(name: str, value: Any, item: Callable[[str], _T]) -> list[_T]:
     """Return the values of an option, each once, as the command reads them from text."""
     values = [value] if isinstance(value, (str, int)) else list(value)
     texts = [text for each in values for text in str(each).split(",")]
     try:
         return list(dict.fromkeys(item(text) for text in texts))
     except NptraceError as e:
-        raise NptraceError(f"{name}: {e}") from e
+        raise OptionError(name, e) from e
+
+
+def _prefetches(value: Given) -> list[str]:
+    from cachesim.prefetch import parse_prefetch
+
+    return listed("prefetch", value, lambda text: str(parse_prefetch(text)))
+
+
+def _layouts(value: Given) -> list[str]:
+    from cachesim.layout import parse_layout
+
+    return listed("layout", value, lambda text: str(parse_layout(text)))
 
 
 def _sizes(value: Given) -> list[int]:
     from cachesim.grid import parse_sizes
 
-    found = _listed("size", value, lambda text: tuple(parse_sizes(text)))
+    found = listed("size", value, lambda text: tuple(parse_sizes(text)))
     return list(dict.fromkeys(size for sizes in found for size in sizes))
 
 
 def _lines(value: Given) -> list[int]:
     from cachesim.config import parse_bytes
 
-    return _listed("line", value, parse_bytes)
+    return listed("line", value, parse_bytes)
 
 
 def _machines(
@@ -294,8 +346,8 @@ def _machines(
     for name in numbers:
         if name not in NUMBERS:
             raise NptraceError(f"a machine has no number {name}; its numbers are {', '.join(NUMBERS)}")
-    given: dict[str, Sequence[int]] = {name: _listed(name, value, parse_number) for name, value in numbers.items()}
-    parsed = _sizes(size), _listed("ways", ways, parse_ways_range), _lines(line), _listed("policy", policy, str.lower)
+    given: dict[str, Sequence[int]] = {name: listed(name, value, parse_number) for name, value in numbers.items()}
+    parsed = _sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
     return machines_of(machine, given, *parsed, seed)
 
 

@@ -13,7 +13,10 @@ from nptrace.progress import Progress, say
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rtrace.camera import Camera
+    from rtrace.ray_file import RayFile
     from rtrace.render import Shooting
     from rtrace.scenes.scene import Scene
 
@@ -68,6 +71,19 @@ def load_scenes(
                     say(sentence)
             scenes += [seen_from(scene, view, lamp) for view in views]
     return scenes
+
+
+def own_rays(path: "Path", shooting: "Shooting", views: Sequence[str]) -> "RayFile":
+    """Return the rays of --rays; NptraceError if options of a picture are given too."""
+    from rtrace.ray_file import read_rays
+    from rtrace.render import Shooting
+
+    if views or shooting != Shooting():
+        raise NptraceError(
+            f"--rays {path} brings its own rays, and --pixels, --camera, --light, --order, --batch and --seed are those of a "
+            "picture; leave them out"
+        )
+    return read_rays(path)
 
 
 def check_run_names(names: Sequence[str], n_pictures: int) -> None:

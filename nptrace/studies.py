@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cachesim.result import Result
     from cachesim.source import Source
     from cachesim.sweep import SweepRow
+    from rtrace.ray_file import RayFile
     from rtrace.render import Shooting, Summary
     from rtrace.scenes.scene import Scene
 
@@ -31,15 +32,18 @@ Where = Run | Path | str
 
 
 def rendered(
-    scenes: "Sequence[Scene]", params: Mapping[str, Mapping[str, Any]], shooting: "Shooting", out: Path, bar: Progress,
-    *, names: Sequence[str] = (), overwrite: bool = False, threads: int | None = None,
+    scenes: "Sequence[Scene]", params: Mapping[str, Mapping[str, Any]], shooting: "Shooting | RayFile", out: Path,
+    bar: Progress, *, names: Sequence[str] = (), overwrite: bool = False, threads: int | None = None,
 ) -> "list[Summary]":  # fmt: skip
     """Trace every scene with every tree and write the runs."""
     from nptrace import __version__
+    from rtrace.ray_file import RayFile
     from rtrace.render import render_all
     from rtrace.scenes import float32_check
     from rtrace.trees.strays import margin_note
 
+    if isinstance(shooting, RayFile):
+        say(f"{shooting.source}: {shooting.n_rays:,} rays, which are no picture, so image.png is one grey pixel")
     for scene in scenes:
         if scene.precision is not None:
             detail(f"{scene.label}: {float32_check.choice(scene.precision)}")

@@ -25,7 +25,15 @@ NOT_OF_FUNCTIONS = {
     "form", "as_json", "output_path", "is_wide", "version", "quiet", "verbose", "help", "picture", "timeline", "error"
 }  # fmt: skip
 #: What a command calls otherwise.
-CALLED = {"names": "scenes", "cameras": "camera", "kd_text": "kd", "bvh_text": "bvh", "run_names": "name", "folder": "traces"}
+CALLED = {
+    "names": "scenes",
+    "cameras": "camera",
+    "kd_text": "kd",
+    "bvh_text": "bvh",
+    "run_names": "name",
+    "ray_file": "rays",
+    "folder": "traces",
+}
 
 
 @pytest.fixture
