@@ -92,8 +92,8 @@ def finding(cog) -> None:
     demand = {tree: percent("demand_ratio", tree) for tree in TREES}
     cog.outl(
         f"The paper's unit seems to lower the miss rate to {printed} of what it is without prefetching, because the paper "
-        f"counts prefetches as accesses: the misses for which a ray waits fall to {demand['kdtree']} (kd-tree) and {demand['bvh']} "
-        f"(BVH), and the bytes from memory are {bytes_}. In cycles, with one ray in flight, the unit is worth "
+        f"counts prefetches as accesses: the misses for which a ray waits fall to {demand['kdtree']} (kd-tree) and "
+        f"{demand['bvh']} (BVH), and the bytes from memory are {bytes_}. In cycles, with one ray in flight, the unit is worth "
         f"{pay.unit_gives('kdtree')} (kd-tree) and {pay.unit_gives('bvh')} (BVH); a longer line or another layout, without "
         f"any unit, is worth up to {most('kdtree')} and {most('bvh')} at no more than 1.1 of the bytes."
     )
