@@ -18,10 +18,11 @@ NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::tes
 	tests/rtrace/trees/test_bvh.py::test_binned_equals_brute_force tests/rtrace/trees/test_bvh.py::test_sweep_equals_brute_force \
 	tests/cachesim/test_replay.py::test_every_count_is_that_of_the_model \
 	tests/cachesim/test_sweep.py::test_cells_are_those_of_the_model tests/cachesim/test_opt.py::test_every_count_is_that_of_the_model
-PAGES := README.md docs/does-it-pay.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md
+PAGES := README.md docs/does-it-pay.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md \
+	docs/your-scene.md docs/metrics.md docs/model.md docs/commands.md docs/extending.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test test-nojit bench lint wheel-check map pay-data docs docs-check correctness fuzz speed-error reproduce-table clean
+.PHONY: help test test-nojit bench lint wheel-check map pay-data pictures docs docs-check site correctness fuzz speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -31,7 +32,7 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
-test: $(INSTALLED) ## Run the tests (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
+test: $(INSTALLED) ## Run the tests, some 15 minutes on two cores (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
 	$(BIN)/python -m pytest $(IN_PARALLEL) $(PYTEST_ARGS)
 
 test-nojit: $(INSTALLED) ## Run the tests of the kernels as plain Python (NUMBA_DISABLE_JIT=1), two minutes
@@ -63,8 +64,15 @@ docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SC
 	$(MAKE) pay-data
 	$(BIN)/nptrace render blob room nave court --accel bvh --pixels 320x320 --out $(VENV)/stand-ins --overwrite
 	$(BIN)/python docs/pictures.py docs/scenes.png $(VENV)/stand-ins/*/image.png
+	$(MAKE) pictures
 	$(BIN)/nptrace check bunny conference sibenik sponza --json > docs/data/embree.json
 	$(BIN)/cog -r $(PAGES)
+
+COURT := $(VENV)/pictures/court-standin
+pictures: $(INSTALLED) # the heat map and the curve of the README, of a built-in scene
+	$(BIN)/nptrace render court --out $(VENV)/pictures
+	$(BIN)/nptrace view $(COURT)-kdtree $(COURT)-bvh --heat accesses -o docs/heat.png
+	$(BIN)/npcache sweep $(COURT)-bvh --size 1K..256K --ways 1,2,4,8 --prefetch none --plot docs/curve.png -o $(VENV)/curve.csv
 
 RAYS := --rays 1,4,16,64 --mshrs 64 --prefetch stack,push,ttp,next-line:tagged,next-line:miss,treelet,perfect --format csv
 PAY := run,scene,tree,group,line_bytes,layout,prefetch,cycles_per_ray,speed_up,share_of_bound,traffic_ratio,accuracy,coverage
@@ -80,6 +88,11 @@ pay-data: $(INSTALLED) # the figures of docs/does-it-pay.md except the map's, fr
 
 docs-check: $(INSTALLED) ## Fail if a figure in the pages is not what its command prints
 	$(BIN)/cog --check $(PAGES)
+
+site: $(INSTALLED) ## Build the documentation as a site, build/site/index.html; a broken link is an error
+	@$(BIN)/python -c "import sphinx" 2>/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -q -c docs -d build/doctrees . build/site
+	@echo "build/site/index.html"
 
 correctness: $(INSTALLED) ## Run all checks, the hard cases (long form) and all mutations, about two hours, and write docs/correctness.md
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }

@@ -74,6 +74,31 @@ def headline(cog) -> None:
         cog.outl(f"| {title} | " + " | ".join(cells) + " |")
 
 
+def finding(cog) -> None:
+    """Write what the study finds, in two sentences, from table1.csv and the clock's figures of docs/does-it-pay.md."""
+    import pay
+
+    with open(DATA / "table1.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+
+    def percent(name: str, *trees: str) -> str:
+        values = [100 * float(row[name]) for row in rows if row["tree"] in (trees or TREES)]
+        return f"{min(values):.0f} to {max(values):.0f} %"
+
+    def most(tree: str) -> str:
+        return f"{pay.most_without_unit(tree):.2f}x"
+
+    printed, bytes_ = percent("paper_ratio_paper"), percent("traffic_ratio")
+    demand = {tree: percent("demand_ratio", tree) for tree in TREES}
+    cog.outl(
+        f"The paper's unit seems to lower the miss rate to {printed} of what it is without prefetching, because the paper "
+        f"counts prefetches as accesses: the misses for which a ray waits fall to {demand['kdtree']} (kd-tree) and "
+        f"{demand['bvh']} (BVH), and the bytes from memory are {bytes_}. In cycles, with one ray in flight, the unit is worth "
+        f"{pay.unit_gives('kdtree')} (kd-tree) and {pay.unit_gives('bvh')} (BVH); a longer line or another layout, without "
+        f"any unit, is worth up to {most('kdtree')} and {most('bvh')} at no more than 1.1 of the bytes."
+    )
+
+
 def hard_cases(cog) -> None:
     """Write the results of ``nptrace check --hard --json``, one line per case: the worst of its structures."""
     rows = json.loads((DATA / "hard_cases.json").read_text(encoding="utf-8"))

@@ -48,6 +48,18 @@ def answer(cog) -> None:
         cog.outl(text)
 
 
+def unit_gives(tree: str) -> str:
+    """Return the speed-ups of the paper's unit, one ray in flight, as a range over the scenes."""
+    return f"{_range(_speed_ups(_rows('rays.csv'), tree=tree, prefetch=UNIT, rays='1'))}x"
+
+
+def most_without_unit(tree: str) -> float:
+    """Return the largest speed-up of a scene without a unit, at no more than 1.1 of the bytes."""
+    rows = _rows("compare.csv")
+    found = [_without_unit(rows, run, 1.1) for run in _runs(rows, tree)]
+    return max(float(row["speed_up"]) for row in found if row)
+
+
 def _runs(rows: list[dict[str, str]], tree: str) -> list[str]:
     return list(dict.fromkeys(row["run"] for row in rows if row["tree"] == tree))
 

@@ -1,17 +1,20 @@
-"""Install the built wheel into a fresh environment and use it beside foreign modules: ``python -m tests.wheel_check``.
+"""Install the wheel that the sdist makes, and use it beside foreign modules: ``python -m tests.wheel_check``.
 
 The main job runs outside the checkout, in a folder (also on PYTHONPATH) with modules named as ours once were; each raises.
 Exit status 1 with one sentence if the wheel puts another name at the top of site-packages, if it does not say that a package
-is typed, or if a command fails.
+is typed, if a link of its description or of a page in the sdist leads nowhere, or if a command fails.
 """
 
 import json
 import os
 import subprocess
 import sys
+import tarfile
 import tempfile
 import zipfile
 from pathlib import Path
+
+from tests.pages import PAGES, parse_page, read_page
 
 ROOT = Path(__file__).resolve().parent.parent
 #: All that the wheel may put beside everybody's modules.
@@ -31,8 +34,9 @@ def main() -> None:
     """Build, install, look, run."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", folder, ROOT, cwd=folder)
-        (wheel,) = folder.glob("*.whl")
+        run(sys.executable, "-m", "build", "--outdir", folder, ROOT, cwd=folder)
+        (sdist,), (wheel,) = folder.glob("*.tar.gz"), folder.glob("*.whl")
+        check_pages(sdist, wheel)
         files = set(zipfile.ZipFile(wheel).namelist())
         strangers = {path.split("/")[0] for path in files} - TOP
         strangers = {name for name in strangers if not name.endswith(".dist-info")}
@@ -54,6 +58,24 @@ def main() -> None:
         printed = [run(python.with_name(words[0]), *words[1:], cwd=work, env=environment) for words in JOB]
         counted = json.loads(printed[2])
         print(f"{wheel.name}: {len(JOB)} commands ran outside the checkout, {len(counted)} results")
+
+
+def check_pages(sdist: Path, wheel: Path) -> None:
+    """SystemExit if a link of a page in the sdist, or of the wheel's description, leads nowhere."""
+    with tarfile.open(sdist) as files:
+        held = {name.partition("/")[2] for name in files.getnames()}
+    lost = {str(page.relative_to(ROOT)) for page in PAGES} - held
+    for page in PAGES:
+        targets = {(page.parent / link.partition("#")[0]).resolve() for link, _ in read_page(page).links if ":" not in link}
+        lost |= {str(target.relative_to(ROOT)) for target in targets} - held
+    if lost:
+        raise SystemExit(f"pages lead to {', '.join(sorted(lost))}, which the sdist does not hold")
+    with zipfile.ZipFile(wheel) as files:
+        (about,) = (files.read(name).decode() for name in files.namelist() if name.endswith("METADATA"))
+    description = about.partition("\n\n")[2]
+    links = [link for link, _ in parse_page(description).links if not link.startswith("https:")]
+    if links or len(description) < 1000:
+        raise SystemExit(f"the wheel's description of {len(description)} characters has the relative links {links}")
 
 
 def run(*words: object, cwd: Path, env: dict[str, str] | None = None) -> str:

@@ -1,0 +1,92 @@
+"""The pages hold what they promise: links lead somewhere, blocks of code run, worked examples are the program's."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tests.pages import PAGES, ROOT, RUN, SHOWN, Session, bad_links, parse_page, read_page
+
+NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
+#: Pages with figures of small examples, which need no scene: cog can check them anywhere.
+WORKED = [name for name in NAMES if "import worked" in (ROOT / name).read_text(encoding="utf-8")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_links_lead_somewhere(name):
+    assert bad_links(ROOT / name) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_block_runs_or_says_why_not(name):
+    for block in read_page(ROOT / name).blocks:
+        where = f"{name}:{block.line}"
+        assert block.language in (*RUN, *SHOWN), f"{where}: a block of {block.language or 'no language'}"
+        assert block.language != "console" or block.is_made, f"{where}: what a command prints must be written by cog"
+        assert not (block.reason and block.language not in RUN), f"{where}: such a block never runs and needs no reason"
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if any(b.language in RUN for b in read_page(ROOT / name).blocks)])
+def test_blocks_run(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("NPTRACE_SCENES", raising=False)
+    session = Session(tmp_path)
+    for block in read_page(ROOT / name).blocks:
+        if block.language in RUN and not block.reason:
+            session.run(block)
+
+
+def test_worked_examples_are_what_the_program_prints():
+    assert "docs/metrics.md" in WORKED
+    environment = {name: value for name, value in os.environ.items() if name != "NPTRACE_SCENES"}
+    done = subprocess.run(
+        [sys.executable, "-m", "cogapp", "--check", "--diff", *WORKED],
+        cwd=ROOT, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_reader_of_pages():
+    text = """# One: a *heading*
+
+See [this](#one-a-heading), [that](other.md#x "title") and ![a picture](a.png).
+
+## Two
+
+<!-- not run: it downloads -->
+```sh
+echo 1
+```
+
+    indented
+
+<!-- [[[cog
+figures.f(cog)
+]]] -->
+```console
+$ made
+```
+<!-- [[[end]]] -->
+
+## Two
+
+<img src="b.png">
+"""
+    page = parse_page(text)
+    assert page.anchors == {"one-a-heading", "two", "two-1"}
+    assert [link for link, _ in page.links] == ["#one-a-heading", "other.md#x", "a.png", "b.png"]
+    assert [(b.language, b.reason, b.is_made) for b in page.blocks] == [
+        ("sh", "it downloads", False), ("", "", False), ("console", "", True),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "text", ["nptrace render nothing.obj", "nptrace info | false", "SELECT 1 WHERE 1 = 2", "assert 1 == 2"]
+)
+def test_a_block_that_fails_is_noticed(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    language = "sql" if "SELECT" in text else "python" if "assert" in text else "sh"
+    (block,) = parse_page(f"```{language}\n{text}\n```\n").blocks
+    with pytest.raises(AssertionError):
+        Session(tmp_path).run(block)
