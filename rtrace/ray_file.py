@@ -21,7 +21,9 @@ import pyarrow.parquet as pq
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 from rtrace.chunk import Chunk
-from rtrace.traverse import KIND_BITS, Rays, make_rays, trace_recorded
+from rtrace.rays import Rays, make_rays
+from rtrace.traverse import trace_recorded
+from rtrace.traversers.common import KIND_BITS
 from rtrace.trees.tree import Tree
 from traces.format import LEAF, PREFETCH, PRIMARY, SHADOW, printable
 
