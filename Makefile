@@ -113,6 +113,7 @@ speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour 
 	$(BIN)/python -m tests.bench.speed_error $(ARGS)
 	$(BIN)/python -m tests.bench.arithmetic $(ARGS)
 	$(BIN)/python -m tests.bench.clock_error $(ARGS)
+	@test -n "$(ARGS)" || $(BIN)/python -m tests.bench.clock_error --held-out
 ifneq ($(ARGS),--quick)
 	$(BIN)/python -m tests.bench.estimate_speed
 	rm -f docs/data/calibration.csv
