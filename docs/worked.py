@@ -186,9 +186,9 @@ def by_level(cog: Any) -> None:
         n, without = row["demand_misses"], row["demand_misses_without"]
         if abs(row["demand_miss_rate"] - n / row["demand_accesses"]) + abs(row["coverage"] - (1 - n / without)) > 1e-12:
             raise SystemExit(f"the rates of level {row['level']} do not follow from its counts")
-        cells = (f"{n} / {row['demand_accesses']} = {_number(n / row['demand_accesses'])}", f"{n} / {misses} = {_number(n / misses)}",
-                 f"1 - {n} / {without} = {_number(row['coverage'])}")  # fmt: skip
-        cog.outl(f"| {row['level']} | {' | '.join(cells)} |")
+        rate = f"{n} / {row['demand_accesses']} = {_number(row['demand_miss_rate'])}"
+        share, coverage = f"{n} / {misses} = {_number(n / misses)}", f"1 - {n} / {without} = {_number(row['coverage'])}"
+        cog.outl(f"| {row['level']} | {rate} | {share} | {coverage} |")
 
 
 def acpr(cog: Any) -> None:

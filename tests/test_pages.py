@@ -87,6 +87,19 @@ $ made
     ]  # fmt: skip
 
 
+def test_links_that_lead_nowhere_are_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr("tests.pages.ROOT", tmp_path)
+    (tmp_path / "other.md").write_text("# There\n")
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# Here\n[a](#here) [b](#gone) [c](other.md#there) [d](other.md#here) [e](none.md) [f](../x.md) ![g](no.png)\n"
+    )
+    assert bad_links(page) == [
+        "page.md:2: page.md has no heading #gone", "page.md:2: other.md has no heading #here",
+        "page.md:2: there is no none.md", "page.md:2: there is no ../x.md", "page.md:2: there is no no.png",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     "text", ["nptrace render nothing.obj", "nptrace info | false", "SELECT 1 WHERE 1 = 2", "assert 1 == 2"]
 )
