@@ -11,6 +11,7 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 RUNS ?= traces
 THREADS ?= 2
+IN_PARALLEL := -n $(THREADS) --dist worksteal
 # What runs in minutes without compiled kernels: all commands on small inputs, and each kind of kernel against its model.
 NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::test_what_is_no_ray_hits_nothing_and_visits_the_root_at_most \
 	tests/rtrace/test_traverse.py::test_interval_ends_belong_to_the_interval tests/rtrace/test_traverse.py::test_visits_and_hits_on_a_lattice \
@@ -31,12 +32,12 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
-test: $(INSTALLED) ## Run the tests, a quarter of an hour on two cores (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
-	@$(if $(PYTEST_ARGS),:,echo "all tests: about a quarter of an hour on two cores; some minutes more the first time, to compile kernels")
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+test: $(INSTALLED) ## Run the tests, some 15 minutes on two cores (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
+	@$(if $(PYTEST_ARGS),:,echo "all tests: some 15 minutes on two cores; a few more the first time, to compile kernels")
+	$(BIN)/python -m pytest $(IN_PARALLEL) $(PYTEST_ARGS)
 
 test-nojit: $(INSTALLED) ## Run the tests of the kernels as plain Python (NUMBA_DISABLE_JIT=1), two minutes
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q -p no:cacheprovider $(NOJIT) $(PYTEST_ARGS)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest $(IN_PARALLEL) -q -p no:cacheprovider $(NOJIT) $(PYTEST_ARGS)
 
 lint: $(INSTALLED) ## Check style, types and the import rules
 	$(BIN)/ruff check .
@@ -112,6 +113,8 @@ bench: $(INSTALLED) ## Measure speed, about 15 minutes, and write docs/performan
 speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour or two, and write docs/speed-error.md (ARGS=--quick: a minute, writes nothing)
 	$(BIN)/python -m tests.bench.speed_error $(ARGS)
 	$(BIN)/python -m tests.bench.arithmetic $(ARGS)
+	$(BIN)/python -m tests.bench.clock_error $(ARGS)
+	@test -n "$(ARGS)" || $(BIN)/python -m tests.bench.clock_error --held-out
 ifneq ($(ARGS),--quick)
 	$(BIN)/python -m tests.bench.estimate_speed
 	rm -f docs/data/calibration.csv

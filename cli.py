@@ -3,10 +3,12 @@
 from nptrace.groups import Commands
 
 nptrace = Commands(
-    "nptrace", ["render", "scenes", "info", "view", "check", "export", "map", "compile"],
+    "nptrace", ["render", "scenes", "info", "view", "check", "export", "map", "run", "compile"],
     help="Stage 1: render scenes and record every node access.",
+    epilog="Stage 2 is npcache: replay, sweep, time, compare, estimate, table1, plot (python -m nptrace cache COMMAND).",
 )  # fmt: skip
 npcache = Commands(
-    "npcache", ["replay", "sweep", "time", "compare", "estimate", "table1"],
+    "npcache", ["replay", "sweep", "time", "compare", "estimate", "table1", "plot"],
     help="Stage 2: replay node accesses through node caches.",
+    epilog="Stage 1 is nptrace: render, scenes, info, view, check, export, map, run, compile.",
 )  # fmt: skip

@@ -1,7 +1,10 @@
 """The configuration of one cache: sizes as text -> CacheConfig, checked once."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from operator import index
+from typing import TYPE_CHECKING, Any
 
 from nptrace_base.errors import NptraceError
 
@@ -37,6 +40,17 @@ def parse_ways(text: str, size_bytes: int, line_bytes: int) -> int:
         raise NptraceError(f"{text!r} is not a number of ways; write 1, 2, 4 ... or full") from None
 
 
+def _number(name: str, value: Any, parse: Callable[[str], int] | None = None) -> int:
+    """Return a whole number that is given as one, or as a text that ``parse`` reads."""
+    if isinstance(value, str) and parse is not None:
+        return parse(value)
+    try:
+        return index(value)
+    except TypeError:
+        rule = "no whole number; write e.g. CacheConfig(8192, 2) or CacheConfig('8K', 2)"
+        raise NptraceError(f"{name} is {value!r}, and {rule}") from None
+
+
 @dataclass(frozen=True, slots=True)
 class CacheConfig:
     """Geometry and replacement of one cache: size_bytes = n_sets * ways * line_bytes.
@@ -44,7 +58,8 @@ class CacheConfig:
     Attributes
     ----------
     size_bytes : int
-        Any whole number of sets; the number of sets need not be a power of two (set = line mod n_sets).
+        Any whole number of sets; the number of sets need not be a power of two (set = line mod n_sets). It may be given as a
+        text such as ``"8K"``, as may ``line_bytes`` and ``ways`` (``"full"``).
     ways : int
         1 is direct mapped; ``size_bytes // line_bytes`` is fully associative.
     line_bytes : int
@@ -63,8 +78,21 @@ class CacheConfig:
     policy: str = "lru"
     seed: int = 0
 
+    if TYPE_CHECKING:  # texts are read once, and a cache holds numbers
+
+        def __init__(
+            self, size_bytes: int | str, ways: int | str = 1, line_bytes: int | str = 32, policy: str = "lru", seed: int = 0
+        ) -> None: ...
+
     def __post_init__(self) -> None:
-        line, ways, size = self.line_bytes, self.ways, self.size_bytes
+        line = _number("line_bytes", self.line_bytes, parse_bytes)
+        size = _number("size_bytes", self.size_bytes, parse_bytes)
+        ways = _number("ways", self.ways, lambda text: parse_ways(text, size, line))
+        for name, value in (("line_bytes", line), ("size_bytes", size), ("ways", ways)):
+            object.__setattr__(self, name, value)
+        if not isinstance(self.policy, str):
+            raise NptraceError(f"policy is {self.policy!r}, and no text; write e.g. lru")
+        object.__setattr__(self, "seed", _number("seed", self.seed))
         if line < 1 or line & (line - 1):
             raise NptraceError(f"a line of {line} B is not a power of two; write e.g. 32 or 64")
         if ways < 1:

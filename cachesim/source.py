@@ -12,6 +12,7 @@ from cachesim.lines import AddressLines, Lines, NodeLines, read_only
 from cachesim.prefetch import KIND_LEAF, KIND_PREFETCH, REQUEST, Prefetch, UnitReplay
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
+from traces.address_files import AddressFile, is_address_file
 from traces.din import DinTrace
 from traces.format import printable
 from traces.identity import RunIdentity
@@ -41,10 +42,10 @@ class Source(Protocol):
 
 
 def open_source(path: Path | str, layout: Layout | str = "stored") -> Source:
-    """Open a run's directory, or a DineroIV trace: a file, a pipe, or - for stdin."""
+    """Open a run's directory, a trace of addresses in CSV or Parquet, or DineroIV's: a file, a pipe, or - for stdin."""
     path = Path(path)
     if not path.is_dir() and (path == STDIN or path.exists() or path.suffix == ".din"):
-        return DinSource(DinTrace(path), layout)
+        return DinSource(AddressFile(path) if is_address_file(path) else DinTrace(path), layout)
     return RunSource(open_run(path), layout)
 
 
@@ -105,12 +106,12 @@ class RunSource:
 
 
 class DinSource:
-    """A DineroIV trace. Events are (address, size)."""
+    """A trace of addresses: DineroIV's, CSV or Parquet. Events are (address, size)."""
 
     n_rays: int | None = None
     n_events: int | None = None
 
-    def __init__(self, trace: DinTrace, layout: Layout | str = "stored") -> None:
+    def __init__(self, trace: DinTrace | AddressFile, layout: Layout | str = "stored") -> None:
         self.layout = parse_layout(layout) if isinstance(layout, str) else layout
         if self.layout != Layout("stored"):
             raise NptraceError(

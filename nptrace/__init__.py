@@ -1,5 +1,50 @@
-"""nptrace: node-cache studies in ray tracing."""
+"""nptrace: node-cache studies in ray tracing, from Python as from the command line.
 
-__all__ = ["__version__"]
+    import nptrace as nt
+
+    run = nt.render("sponza", accel="bvh")
+    nt.replay(run, size="8K,16K", ways=2).to_pandas()
+
+The functions have the names, the options and the defaults of the commands (docs/python.md). They are imported when they are
+used, so importing this package costs nothing.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cachesim.config import CacheConfig as CacheConfig
+    from nptrace.api import compare as compare
+    from nptrace.api import open as open
+    from nptrace.api import render as render
+    from nptrace.api import replay as replay
+    from nptrace.api import sweep as sweep
+    from nptrace.api import table1 as table1
+    from nptrace.api import time as time
+    from nptrace.results import Results as Results
+    from nptrace_base.errors import NptraceError as NptraceError
+    from traces.reader import Run as Run
 
 __version__ = "0.1.0"
+
+#: Public names, and the module that defines each.
+_PLACES = {
+    **dict.fromkeys(("compare", "open", "render", "replay", "sweep", "table1", "time"), "nptrace.api"),
+    "CacheConfig": "cachesim.config",
+    "NptraceError": "nptrace_base.errors",
+    "Results": "nptrace.results",
+    "Run": "traces.reader",
+}
+
+__all__ = ["__version__", *sorted(_PLACES)]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib  # not nptrace_base.lazy: __main__ imports this package before it knows that the others are ours
+
+    return getattr(importlib.import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PLACES})

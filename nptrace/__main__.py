@@ -58,5 +58,14 @@ def npcache() -> None:
     importlib.import_module("cli").npcache()
 
 
+def package() -> None:
+    """Run ``python -m nptrace``: stage 1, or stage 2 behind the word ``cache``."""
+    if sys.argv[1:2] != ["cache"]:
+        return nptrace()
+    del sys.argv[1]
+    sys.argv[0] = "npcache"
+    return npcache()
+
+
 if __name__ == "__main__":
-    nptrace()
+    package()

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from cachesim.clock.parameters import PRESETS, Clock
-from cachesim.clock.timing import time_run
+from cachesim.clock.parts import Estimated, time_part
+from cachesim.clock.timing import Timing, time_run
 from cachesim.config import CacheConfig
 from nptrace_base.atomic import whole_file
 from nptrace_base.errors import NptraceError
@@ -27,7 +28,8 @@ from traces.reader import Run, open_run
 COLUMNS_OF_RUN = ("run", "scene", "stand_in", "tree", "leaf", "width", "height", "order")
 FIGURES = (
     "cycles", "cycles_without", "speed_up", "cycles_per_ray_without", "demand_reads", "requests", "filled",
-    "bytes_from_memory", "traffic_ratio", "accuracy", "demand_miss_rate", "spent_port",
+    "bytes_from_memory", "traffic_ratio", "accuracy", "demand_miss_rate", "spent_port", "parts",
+    "speed_up_half_width",
 )  # fmt: skip
 
 
@@ -70,12 +72,14 @@ QUICK = Grid(leaves=(1, 4), triangles=(8,), misses=(100,), rays=(1, 4), caches=(
 
 def break_even(
     scenes: Sequence[Scene], shooting: Shooting, grid: Grid, folder: Path, *, threads: int,
-    on_run: Callable[[str], Callable[[int], object]],
+    on_run: Callable[[str], Callable[[int], object]], parts: int = 1,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return the rows of the map; runs and finished parts are kept in ``folder``.
+    """Return the rows of the map; runs and finished runs' rows are kept in ``folder``.
 
     Parameters
     ----------
+    parts : int
+        Time one of so many parts of the rays: rows have the half-width of the speed-up, and None for what parts do not tell.
     on_run : callable
         Called with the name of a run before it is timed; returns a function to call with amounts of ``n_steps``.
     """
@@ -84,46 +88,42 @@ def break_even(
         params = {tree: {"min_leaf": leaf, "max_leaf": leaf} for tree in grid.trees}
         for summary in render_all([scene], params, shooting, folder, threads=threads):
             run = open_run(str(summary.identity.path))
-            rows += _part(run, leaf, grid, folder, threads, on_run(run.name))
+            rows += _part(run, leaf, grid, parts, folder, threads, on_run(run.name))
     return rows
 
 
 def _part(
-    run: Run, leaf: int, grid: Grid, folder: Path, threads: int, advance: Callable[[int], object]
+    run: Run, leaf: int, grid: Grid, parts: int, folder: Path, threads: int, advance: Callable[[int], object]
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the rows of one run, from its file if there is one for this grid."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid)], sort_keys=True)
+    asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid), parts], sort_keys=True)
     path = folder / f"map-{hashlib.sha256(asked.encode()).hexdigest()[:16]}.parquet"
     if path.exists():
         try:
             return list(pq.read_table(path).to_pylist())
         except pa.ArrowException as e:
             raise NptraceError(f"{path} is no part of a map: it cannot be read; delete it, and its run is timed again") from e
-    rows = list(_rows(run, leaf, grid, threads, advance))
+    rows = list(_rows(run, leaf, grid, parts, threads, advance))
     with whole_file(path) as temporary:
         write_parquet(rows, temporary, COLUMNS)
     return rows
 
 
 def _rows(
-    run: Run, leaf: int, grid: Grid, threads: int, advance: Callable[[int], object]
+    run: Run, leaf: int, grid: Grid, parts: int, threads: int, advance: Callable[[int], object]
 ) -> Iterator[dict[str, Any]]:  # fmt: skip
-    line_bytes = max(32, run.footer.tree.node_bytes)
-    for config in grid.configs(line_bytes):
-        timings = time_run(run, [config], grid.clocks(), grid.prefetches, threads=threads)
+    configs, machine = grid.configs(max(32, run.footer.tree.node_bytes)), PRESETS["paper"].clock.to_dict()
+    names = (*COLUMNS_OF_RUN, "size_bytes", "ways", "line_bytes", "prefetch", *machine, *FIGURES)
+    for config in configs:
+        found: Sequence[Timing | Estimated]
+        if parts > 1:
+            found = time_part(run, [config], grid.clocks(), grid.prefetches, parts, threads)
+        else:
+            found = time_run(run, [config], grid.clocks(), grid.prefetches, threads=threads)
         advance(1)
-        for timing in timings:
-            figures = timing.to_dict() | {"leaf": leaf}
-            names = (
-                *COLUMNS_OF_RUN,
-                "size_bytes",
-                "ways",
-                "line_bytes",
-                "prefetch",
-                *PRESETS["paper"].clock.to_dict(),
-                *FIGURES,
-            )
-            yield {name: figures[name] for name in names}
+        for timing in found:
+            figures = timing.to_dict() | {"leaf": leaf, "parts": parts}
+            yield {name: figures.get(name) for name in names}

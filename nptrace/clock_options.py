@@ -11,7 +11,7 @@ import click
 from cachesim.clock.parameters import NUMBERS, PRESETS, Clock, parse_preset
 from cachesim.config import CacheConfig, parse_bytes
 from cachesim.grid import caches, parse_sizes, parse_ways_range
-from nptrace.options import ListOf, joined, merged
+from nptrace.options import ListOf, joined, list_option, merged
 from nptrace_base.errors import NptraceError
 
 
@@ -35,18 +35,18 @@ def machine_options(function: Callable[..., Any]) -> Any:
 
     @wraps(function)
     def command(
-        machine: str, size: list[int], ways: list[tuple[str, ...]], line: list[int], policy: str, seed: int, **kwargs: Any
+        machine: str, size: list[int], ways: list[tuple[str, ...]], line: list[int], policy: list[str], seed: int,
+        **kwargs: Any,
     ) -> Any:  # fmt: skip
         numbers = {name: kwargs.pop(name) for name in NUMBERS}
-        usual = parse_preset(machine).cache
-        usual_ways = [("full" if usual.n_sets == 1 else str(usual.ways),)]
-        configs = caches(size or [usual.size_bytes], ways or usual_ways, line or [usual.line_bytes], [policy.lower()], seed)
-        return function(machines=Machines(configs, clocks_of(machine, numbers)), **kwargs)
+        return function(machines=machines_of(machine, numbers, size, ways, line, policy, seed), **kwargs)
 
     for name, (meaning, _, _) in reversed(NUMBERS.items()):
         command = _list(f"--{name}", parse_number, "N", f"{meaning[0].upper()}{meaning[1:]}.")(command)
     command = click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")(command)
-    command = click.option("--policy", default="lru", show_default=True, help="Replacement: lru, fifo or random.")(command)
+    command = list_option(
+        "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo or random."
+    )(command)  # fmt: skip
     command = _list("--line", parse_bytes, "SIZES", "Line sizes in bytes.")(command)
     command = _list(
         "--ways", parse_ways_range, "WAYS", "Numbers of ways and ranges, e.g. 1,2,full; those of the machine if left out.",
@@ -65,6 +65,27 @@ def _list(name: str, item: Any, metavar: str, help: str, *others: str, joins: Ca
     return click.option(
         name, *others, type=ListOf(metavar, item), metavar=metavar, multiple=True, callback=joins, help=help
     )  # fmt: skip
+
+
+def machines_of(
+    machine: str, numbers: dict[str, Sequence[int]], size: Sequence[int] = (), ways: Sequence[Sequence[str]] = (),
+    line: Sequence[int] = (), policy: Sequence[str] = ("lru",), seed: int = 0,
+) -> Machines:  # fmt: skip
+    """Return every cache and every clock; what is not given is the machine's."""
+    usual = parse_preset(machine).cache
+    usual_ways = [("full" if usual.n_sets == 1 else str(usual.ways),)]
+    configs = caches(size or [usual.size_bytes], ways or usual_ways, line or [usual.line_bytes], policy, seed)
+    return Machines(configs, clocks_of(machine, numbers))
+
+
+def one_machine(machines: Machines) -> tuple[CacheConfig, Clock]:
+    """Return the only cache and the only clock; NptraceError if there are several."""
+    if len(machines.configs) * len(machines.clocks) > 1:
+        raise NptraceError(
+            f"compare takes one cache and one machine, and the options ask for {len(machines.configs)} and "
+            f"{len(machines.clocks)}; use npcache time for lists"
+        )
+    return machines.configs[0], machines.clocks[0]
 
 
 def clocks_of(machine: str, numbers: dict[str, Sequence[int]]) -> list[Clock]:

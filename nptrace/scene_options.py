@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from nptrace.groups import BadInput
 from nptrace.options import ListOf, merged, threads_option
 from nptrace.progress import Progress, say
+from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rtrace.camera import Camera
+    from rtrace.ray_file import RayFile
     from rtrace.render import Shooting
     from rtrace.scenes.scene import Scene
 
@@ -21,14 +24,15 @@ if TYPE_CHECKING:
 def accel_option() -> Any:
     """Return the option for the trees, as a list of names."""
     return click.option(
-        "--accel", type=ListOf("TREES", _tree), metavar="TREES", multiple=True, callback=merged,
+        "--accel", type=ListOf("TREES", parse_tree), metavar="TREES", multiple=True, callback=merged,
         help="Trees to build, kdtree and bvh; both by default.",
     )  # fmt: skip
 
 
-def _tree(name: str) -> str:
+def parse_tree(name: str) -> str:
+    """Return the name of a tree."""
     if name not in ("kdtree", "bvh"):
-        raise BadInput(f"--accel: {name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
+        raise NptraceError(f"{name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
     return name
 
 
@@ -43,9 +47,12 @@ def scene_options(command: Any) -> Any:
 
 
 def load_scenes(
-    names: Sequence[str], strict: bool, offline: bool, cameras: Sequence[str] = (), light: str | None = None
+    names: "Sequence[str | Scene]", strict: bool, offline: bool, cameras: Sequence[str] = (), light: str | None = None
 ) -> "list[Scene]":
-    """Load scenes by name or file, each seen by every --camera and lit as --light says; notes on each go to stderr."""
+    """Load scenes by name or file, each seen by every --camera and lit as --light says; notes on each go to stderr.
+
+    A scene that is loaded already is taken as it is.
+    """
     from rtrace.camera import parse_camera, parse_point
     from rtrace.scenes.catalog import load_scene
     from rtrace.scenes.scene import dropped_sentence, seen_from
@@ -56,9 +63,9 @@ def load_scenes(
     scenes = []
     with Progress(len(names)) as progress:
         for name in names:
-            progress.job(printable(name))
+            progress.job(printable(name) if isinstance(name, str) else name.label)
             progress.phase("load")
-            scene = load_scene(name, strict=strict, download=not offline, notify=say)
+            scene = load_scene(name, strict=strict, download=not offline, notify=say) if isinstance(name, str) else name
             for sentence in (dropped_sentence(scene), *scene.notes):
                 if sentence:
                     say(sentence)
@@ -66,14 +73,27 @@ def load_scenes(
     return scenes
 
 
+def own_rays(path: "Path", shooting: "Shooting", views: Sequence[str]) -> "RayFile":
+    """Return the rays of --rays; NptraceError if options of a picture are given too."""
+    from rtrace.ray_file import read_rays
+    from rtrace.render import Shooting
+
+    if views or shooting != Shooting():
+        raise NptraceError(
+            f"--rays {path} brings its own rays, and --pixels, --camera, --light, --order, --batch and --seed are those of a "
+            "picture; leave them out"
+        )
+    return read_rays(path)
+
+
 def check_run_names(names: Sequence[str], n_pictures: int) -> None:
-    """Raise BadInput unless there are no names, or one per picture and each can name a folder."""
+    """Raise NptraceError unless there are no names, or one per picture and each can name a folder."""
     if names and len(names) != n_pictures:
         pictures = f"{n_pictures} picture{'s' * (n_pictures != 1)}"
-        raise BadInput(f"there are {len(names)} --name for {pictures}; give one per SCENE and --camera, in the same order")
+        raise NptraceError(f"there are {len(names)} --name for {pictures}; give one per SCENE and --camera, in the same order")
     for name in names:
         if not re.fullmatch(r"[\w][\w.-]*", name):
-            raise BadInput(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")
+            raise NptraceError(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")
 
 
 #: Parameters of the builders that a user may set, and the type of each.
@@ -102,12 +122,12 @@ def _parse_builder(
             params |= words[part]
         elif not equals or name not in names:
             either = " nor ".join([*words, "NAME=VALUE"])
-            raise BadInput(f"{option}: {part!r} is neither {either} with one of the names {', '.join(names)}")
+            raise NptraceError(f"{option}: {part!r} is neither {either} with one of the names {', '.join(names)}")
         else:
             try:
                 params[name] = names[name](value)
             except ValueError:
-                raise BadInput(f"{option}: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
+                raise NptraceError(f"{option}: {name} must be a number, got {value!r}; write e.g. {name}=2") from None
     return params
 
 
@@ -122,6 +142,9 @@ def tree_params(accel: Sequence[str], kd_text: str, bvh_text: str, bvh_nodes: Se
     params: dict[str, dict[str, Any]] = {"kdtree": parse_kd(kd_text)}
     formats = formats_of("bvh")
     bvh = parse_bvh(bvh_text)
+    for node_bytes in bvh_nodes:
+        if node_bytes not in BVH_NODES:
+            raise NptraceError(f"bvh_nodes: {node_bytes!r} is not one of {', '.join(BVH_NODES)}")
     params |= {formats[int(node_bytes)].name: bvh for node_bytes in bvh_nodes}
     return {kind: given for kind, given in params.items() if not accel or NODE_FORMATS[kind].tree in accel}
 

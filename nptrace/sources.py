@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from nptrace.groups import BadInput
+from nptrace_base.errors import NptraceError
 
 LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
 
@@ -41,7 +41,7 @@ def chosen_sources(sources: Sequence[Path], folder: Path) -> list[Path]:
         return list({os.path.realpath(path) if str(path) != "-" else path: path for path in reversed(named)}.values())[::-1]
     found = find_runs(folder)
     if not found:
-        raise BadInput(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a .din file")
+        raise NptraceError(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a trace")
     return found
 
 

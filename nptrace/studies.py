@@ -4,11 +4,12 @@ the studies of ``nptrace run`` share it, so that all three count the same.
 ``bar`` is the line of progress; one that was not entered prints nothing.
 """
 
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nptrace.progress import Progress
+from nptrace.progress import Progress, detail, say
 from traces.reader import Run
 
 if TYPE_CHECKING:
@@ -22,9 +23,42 @@ if TYPE_CHECKING:
     from cachesim.result import Result
     from cachesim.source import Source
     from cachesim.sweep import SweepRow
+    from rtrace.ray_file import RayFile
+    from rtrace.render import Shooting, Summary
+    from rtrace.scenes.scene import Scene
 
 #: What is replayed: a run, or the place of a run or a trace.
 Where = Run | Path | str
+
+
+def rendered(
+    scenes: "Sequence[Scene]", params: Mapping[str, Mapping[str, Any]], shooting: "Shooting | RayFile", out: Path,
+    bar: Progress, *, names: Sequence[str] = (), overwrite: bool = False, threads: int | None = None,
+) -> "list[Summary]":  # fmt: skip
+    """Trace every scene with every tree and write the runs."""
+    from nptrace import __version__
+    from rtrace.ray_file import RayFile
+    from rtrace.render import render_all
+    from rtrace.scenes import float32_check
+    from rtrace.trees.strays import margin_note
+
+    if isinstance(shooting, RayFile):
+        say(f"{shooting.source}: {shooting.n_rays:,} rays, which are no picture, so image.png is one grey pixel")
+    for scene in scenes:
+        if scene.precision is not None:
+            detail(f"{scene.label}: {float32_check.choice(scene.precision)}")
+        if note := margin_note(scene.triangles, scene.bounds, scene.camera.eye):
+            say(f"{scene.label}: {note}")
+
+    def on_phase(run: str, phase: str, total: int | None) -> Callable[[int], object]:
+        if phase == "build":
+            bar.job(run)
+        return bar.phase(phase, total)
+
+    return list(render_all(
+        scenes, params, shooting, out, names=names, overwrite=overwrite, threads=threads or os.cpu_count() or 1,
+        tool_version=__version__, on_phase=on_phase,
+    ))  # fmt: skip
 
 
 def replayed(

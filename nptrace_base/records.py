@@ -43,10 +43,9 @@ def to_csv(records: Sequence[Record]) -> str:
     return out.getvalue()
 
 
-def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, type] | None = None) -> None:
-    """Write a Parquet file. ``types`` has those of columns that may hold nothing but None; other such columns are rates."""
+def to_arrow(records: Sequence[Record], types: Mapping[str, type] | None = None) -> Any:
+    """Return a pyarrow.Table. ``types`` has those of columns that may hold nothing but None; other such columns are rates."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     arrow = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
     found: dict[str, type | None] = {}
@@ -55,14 +54,21 @@ def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, typ
             if found.get(name) is None:
                 found[name] = None if value is None else type(value)
     held = {name: type_ or (types or {}).get(name, float) for name, type_ in found.items()}
-    fields = [pa.field(name, arrow.get(type_, pa.float64())) for name, type_ in held.items()]
-    schema, rows = pa.schema(fields), iter(records)
-    # Opened by Python: Arrow opens only names that are UTF-8.
-    with open(path, "wb") as file, pq.ParquetWriter(file, schema) as writer:
-        for _ in range(0, max(len(records), 1), _AT_A_TIME):
-            some = islice(rows, _AT_A_TIME)
-            plain = [{name: _utf8(value) for name, value in record.items()} for record in some]
-            writer.write_table(pa.Table.from_pylist(plain, schema))
+    schema, rows = pa.schema([pa.field(name, arrow.get(type_, pa.float64())) for name, type_ in held.items()]), iter(records)
+    pieces = [schema.empty_table()]
+    for _ in range(0, len(records), _AT_A_TIME):
+        plain = [{name: _utf8(value) for name, value in record.items()} for record in islice(rows, _AT_A_TIME)]
+        pieces.append(pa.Table.from_pylist(plain, schema))
+    return pa.concat_tables(pieces)
+
+
+def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, type] | None = None) -> None:
+    """Write the table of ``to_arrow`` as a Parquet file."""
+    import pyarrow.parquet as pq
+
+    table = to_arrow(records, types)
+    with open(path, "wb") as file:  # by Python: Arrow opens only names that are UTF-8
+        pq.write_table(table, file)
 
 
 def _utf8(value: Any) -> Any:

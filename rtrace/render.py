@@ -20,6 +20,7 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
 from rtrace.camera import format_camera, pixel_order
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.ray_file import RayFile, ray_chunks
 from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
 from rtrace.shooting import Shooting as Shooting
@@ -61,9 +62,10 @@ class Summary(NamedTuple):
         return {**self.identity.to_dict(), **counts}
 
     @property
-    def hit_share(self) -> float:
-        """Share of the primary rays that hit something."""
-        return self.n_hits / (self.n_rays - self.n_shadow_rays)
+    def hit_share(self) -> float | None:
+        """Share of the primary rays that hit something; None without primary rays."""
+        n = self.n_rays - self.n_shadow_rays
+        return self.n_hits / n if n else None
 
     @property
     def shadowed_share(self) -> float | None:
@@ -128,7 +130,7 @@ def _pieces(n: int, batch: int) -> Iterator[_Piece]:
             yield from ((start, min(start + CHUNK, last), which) for start in range(first, last, CHUNK))
 
 
-def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
+def command_of(scene: Scene, tree: Tree, shooting: Shooting | RayFile) -> str:
     """Return the command that makes this run again, with every option spelled out."""
     given = [f"{name}={value}" for name, value in tree.params.items() if name not in ("builder", "max_refs")]
     node_format = NODE_FORMATS[tree.kind]
@@ -138,15 +140,18 @@ def command_of(scene: Scene, tree: Tree, shooting: Shooting) -> str:
         builder = ["--bvh", ",".join([tree.params["builder"], *given])]
     if node_format.version > 1:
         builder += ["--bvh-nodes", str(node_format.node_bytes)]
-    words = [
-        "nptrace", "render", scene.source, "--accel", node_format.tree, "--pixels", f"{shooting.width}x{shooting.height}",
+    words = ["nptrace", "render", scene.source, "--accel", node_format.tree]
+    if isinstance(shooting, RayFile):
+        return shlex.join([*words, "--rays", shooting.source, *builder])
+    words += [
+        "--pixels", f"{shooting.width}x{shooting.height}",
         "--camera", format_camera(scene.camera), "--light", ",".join(map(repr, scene.light)),
         "--order", shooting.order, "--batch", str(shooting.batch), "--seed", str(shooting.seed), *builder,
     ]  # fmt: skip
     return shlex.join(words)
 
 
-def footer_of(scene: Scene, tree: Tree, shooting: Shooting, tool_version: str) -> Footer:
+def footer_of(scene: Scene, tree: Tree, shooting: Shooting | RayFile, tool_version: str) -> Footer:
     """Return the footer of a run: everything that decides its bytes, and nothing else."""
     return Footer(
         tool_version=tool_version,
@@ -154,7 +159,7 @@ def footer_of(scene: Scene, tree: Tree, shooting: Shooting, tool_version: str) -
         scene=SceneFacts(scene.name, scene.label, scene.source, scene.sha256, len(scene.triangles), scene.stand_in),
         camera=CameraFacts(**asdict(scene.camera)),
         light=scene.light,
-        **asdict(shooting),
+        **(shooting.facts() if isinstance(shooting, RayFile) else asdict(shooting)),
         tree=TreeFacts(tree.kind, NODE_FORMATS[tree.kind].node_bytes, tree.params),
     )
 
@@ -162,7 +167,7 @@ def footer_of(scene: Scene, tree: Tree, shooting: Shooting, tool_version: str) -
 def render(
     scene: Scene,
     tree: Tree,
-    shooting: Shooting,
+    shooting: Shooting | RayFile,
     path: Path,
     *,
     threads: int = 2,
@@ -170,7 +175,7 @@ def render(
     progress: Callable[[int], object] = lambda pixels: None,
     on_write: Callable[[], object] = lambda: None,
 ) -> Summary:
-    """Trace a picture and write the run at ``path`` atomically.
+    """Trace a picture, or the rays of a file, and write the run at ``path`` atomically.
 
     Parameters
     ----------
@@ -181,12 +186,16 @@ def render(
     """
     node_format = NODE_FORMATS[tree.kind]
     fields = SPLIT if node_format.tree == "kdtree" else BOX
-    picture = np.zeros((shooting.height * shooting.width, 3), np.uint8)
+    if isinstance(shooting, RayFile):
+        width, height, traced = 1, 1, ray_chunks(tree, shooting, threads)  # there is no picture
+    else:
+        width, height, traced = shooting.width, shooting.height, chunks(tree, scene, shooting, threads)
+    picture = np.zeros((height * width, 3), np.uint8)
     n_rays = n_accesses = n_prefetches = n_leaves = n_shadow = n_hits = n_shadowed = 0
     footer = footer_of(scene, tree, shooting, tool_version)
     with RunWriter(path, footer, fields) as run:
         run.append("nodes", partial(node_table, tree))
-        for chunk in chunks(tree, scene, shooting, threads):
+        for chunk in traced:
             chunk.rays["ray"] += np.uint32(n_rays)
             chunk.rays["first"] += np.uint64(n_accesses)
             chunk.accesses["ray"] += np.uint32(n_rays)
@@ -204,7 +213,7 @@ def render(
                 progress(len(chunk.pixels))
         on_write()
         run.complete()
-        run.image(_png(picture.reshape(shooting.height, shooting.width, 3)))
+        run.image(_png(picture.reshape(height, width, 3)))
     n_bytes = sum(file.stat().st_size for file in path.iterdir())
     return Summary(
         identity_of(footer, printable(path.name), printable(str(path))), len(scene.triangles),
@@ -216,7 +225,7 @@ def render(
 def render_all(
     scenes: Sequence[Scene],
     params: Mapping[str, Mapping[str, Any]],
-    shooting: Shooting,
+    shooting: Shooting | RayFile,
     folder: Path,
     *,
     names: Sequence[str] = (),
@@ -244,6 +253,7 @@ def render_all(
     twice = next((path for path in paths if paths.count(path) > 1), None)
     if twice is not None:
         raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE and --camera")
+    n_steps = shooting.n_rays if isinstance(shooting, RayFile) else shooting.width * shooting.height
     with thread_pool(threads) as pool:
         jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
         for path, (scene, tree) in zip(paths, jobs, strict=True):
@@ -252,7 +262,7 @@ def render_all(
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             on_phase(path.name, "build", None)
             built = tree.result()
-            traced = on_phase(path.name, "trace", shooting.width * shooting.height)
+            traced = on_phase(path.name, "trace", n_steps)
             yield render(
                 scene, built, shooting, path, threads=threads, tool_version=tool_version, progress=traced,
                 on_write=partial(on_phase, path.name, "write", None),

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
+from rtrace.ray_file import RayFile
 from rtrace.scenes.scene import Scene
 from rtrace.shooting import Shooting
 from rtrace.trees.bvh import build_bvh
@@ -17,9 +18,11 @@ from traces.identity import STAND_IN
 from traces.node_formats import NODE_FORMATS
 
 
-def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: Shooting) -> str:
+def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: Shooting | RayFile) -> str:
     """Return the name of a run; of ``params``, those of the tree's builder, only other values than its defaults count."""
     parts = [scene.name, *([STAND_IN] if scene.stand_in else []), kind, *_builder_parts(kind, params)]
+    if isinstance(shooting, RayFile):
+        return "-".join([*parts, shooting.name[: len("rays-") + 6]])
     usual = {each.name: each.default for each in fields(shooting)}
     if shooting.order != usual["order"]:
         parts.append(shooting.order)

@@ -24,6 +24,8 @@ def headings_and_keys(tmp_path_factory):
     """Return the headings and the keys of every command that prints results."""
     traces = tmp_path_factory.mktemp("traces")
     headings, keys = set(), set()
+    study = traces / "study.toml"
+    study.write_text(f'out = "{traces}/runs"\n[render]\nscenes = "blob"\npixels = "8x8"\n[time]\n')
 
     def record(tables, notes, file, **options):
         headings.update(name.replace("-\n", "").replace("\n", " ") for table in tables for name in table.header)
@@ -48,6 +50,7 @@ def headings_and_keys(tmp_path_factory):
                 (cli.npcache, "compare", traces / "bunny-standin-bvh-16x16", *CLOCKED),
                 (cli.nptrace, "map", "blob", "--quick", *SMALL, "--out", traces / "map"),
                 (cli.npcache, "estimate", "blob", *CACHES, "--pixels", "16x16", "--offline"),
+                (cli.nptrace, "run", study, *([] if form else ["--format", "table"])),
             ):  # fmt: skip
                 printed = run(program, *args, *form)
                 keys |= set(_keys(json.loads(printed))) if form else set()

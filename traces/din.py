@@ -96,7 +96,7 @@ class DinTrace:
             address, size, label = (np.ascontiguousarray(records[name]) for name in ("address", "size", "label"))
             at = int(first_bad_record(address, size, label))
             if at < address.size:
-                reason = _explain_record(int(address[at]), int(size[at]), int(label[at]))
+                reason = explain_record(int(address[at]), int(size[at]), int(label[at]))
                 raise DinError(f"{self.stream.where}, record {done + at + 1}: {reason}")
             done += address.size
             yield address, size, label
@@ -174,7 +174,8 @@ def _explain(error: int, line: str) -> str:
     return f"{found}; write `type address`, as in `0 1a2b40`"
 
 
-def _explain_record(address: int, size: int, label: int) -> str:
+def explain_record(address: int, size: int, label: int) -> str:
+    """Return why a read of ``size`` bytes cannot be in a trace."""
     if label not in LABELS:
         return _explain(_BAD_LABEL, f"{label:x}") if label != 0xC else f"access type c is unknown; {_KNOWN}"
     if size == 0:
@@ -268,15 +269,7 @@ def export_din(
     if prefetch not in PREFETCH_LABELS:
         raise DinError(f"{prefetch!r} is not an access type for prefetches; choose one of {', '.join(PREFETCH_LABELS)}")
     node_bytes = run.footer.tree.node_bytes
-    if addresses is None:
-        addresses = run.columns("nodes", ["address"])["address"]
-    reads_leaves = run.footer.tree.node_format.reads_leaves
-    if not reads_leaves:
-        axis = run.columns("nodes", ["axis"])["axis"]
-        addresses = np.where(axis == LEAF_AXIS, 0, addresses)  # a leaf is no node in memory, so nothing reads it
-    highest = int(addresses.max()) + node_bytes
-    if highest > 1 << 32:
-        raise DinError(f"{run.name} reaches address {highest:#x}; a DineroIV trace has 32 bits, so move the layout down")
+    addresses = node_addresses(run, addresses)
     if fmt == "binary" and prefetch == "b":
         is_aligned = node_bytes & (node_bytes - 1) == 0 and not (addresses % np.asarray(node_bytes, addresses.dtype)).any()
         lines = f"lines shorter than {node_bytes} B" if is_aligned else "lines of any size"
@@ -284,21 +277,39 @@ def export_din(
             f"with {lines}, prefetches of {node_bytes} B span two, and DineroIV counts those wrongly, or stops with -uccc; "
             "use longer lines, --prefetch read, or npcache replay"
         )
-    narrow = np.ascontiguousarray(addresses, np.uint32)
-    mark = PREFETCH_LABELS[prefetch]
-    left_out = [PREFETCH] * (mark is None) + [LEAF] * (not reads_leaves)
-    labels = np.array([0, 0, 0, mark or 0], np.uint8)
     out = Path(out)
     written = 0
     with whole_file(out) as temporary, open(temporary, "wb") as file:
-        for nodes, kinds in run.batches():
-            if left_out:
-                keep = ~np.isin(kinds, left_out)
-                nodes, kinds = nodes[keep], kinds[keep]
-            where, what = narrow[nodes], labels[kinds]
+        for where, what in exported(run, addresses, prefetch):
             file.write(_records(where, what, node_bytes) if fmt == "binary" else _lines(where, what))
             written += where.size
     return written
+
+
+def node_addresses(run: Run, addresses: np.ndarray | None = None) -> np.ndarray:
+    """Return the address of every node, as stored if None is given; 0 for what is no node in memory."""
+    if addresses is None:
+        addresses = run.columns("nodes", ["address"])["address"]
+    if not run.footer.tree.node_format.reads_leaves:
+        axis = run.columns("nodes", ["axis"])["axis"]
+        addresses = np.where(axis == LEAF_AXIS, 0, addresses)  # a leaf is no node in memory, so nothing reads it
+    highest = int(addresses.max()) + run.footer.tree.node_bytes
+    if highest > 1 << 32:
+        raise DinError(f"{run.name} reaches address {highest:#x}; a DineroIV trace has 32 bits, so move the layout down")
+    return addresses
+
+
+def exported(run: Run, addresses: np.ndarray, prefetch: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield (address uint32, access type uint8) of a run's accesses, batch by batch; ``prefetch`` as in ``export_din``."""
+    narrow = np.ascontiguousarray(addresses, np.uint32)
+    mark = PREFETCH_LABELS[prefetch]
+    left_out = [PREFETCH] * (mark is None) + [LEAF] * (not run.footer.tree.node_format.reads_leaves)
+    labels = np.array([0, 0, 0, mark or 0], np.uint8)
+    for nodes, kinds in run.batches():
+        if left_out:
+            keep = ~np.isin(kinds, left_out)
+            nodes, kinds = nodes[keep], kinds[keep]
+        yield narrow[nodes], labels[kinds]
 
 
 def _records(address: np.ndarray, label: np.ndarray, size: int) -> bytes:

@@ -77,6 +77,9 @@ class Footer:
         The layout of the nodes, and the policy of the recorded requests.
     image_sha256 : str or None
         Of ``image.png``; runs of earlier versions lack it.
+    rays : dict or None
+        Of a run of rays from a file, that file and the checksum of its rays; a ray is then a pixel, ``order`` begins with
+        ``rays-``, and there is no picture.
     n_accesses, n_rays, n_nodes : int
         Rows of the three tables; the writer counts them.
     """
@@ -95,6 +98,7 @@ class Footer:
     layout: str = "as stored"
     prefetch: Mapping[str, Any] = field(default_factory=lambda: {"policy": "stack", "budget": "unlimited"})
     image_sha256: str | None = None
+    rays: Mapping[str, Any] | None = None
     n_accesses: int = 0
     n_rays: int = 0
     n_nodes: int = 0
@@ -103,8 +107,9 @@ class Footer:
         """Return the text in the files."""
         values = asdict(self)
         values["tree"] |= values["tree"].pop("params")
-        if self.image_sha256 is None:
-            del values["image_sha256"]
+        for name in _OPTIONAL:
+            if values[name] is None:
+                del values[name]
         return json.dumps({"format_version": self.tree.node_format.version, **values}, sort_keys=True).encode()
 
     def differences(self, other: "Footer") -> list[str]:
@@ -114,6 +119,9 @@ class Footer:
             return ["scene"]  # its camera and light are others too
         return [name for name in _CONTENT if getattr(self, name) != getattr(other, name)]
 
+
+#: Entries that a run may lack.
+_OPTIONAL = ("image_sha256", "rays")
 
 #: The entries that decide the bytes of a run, apart from its scene.
 _CONTENT = ("camera", "light", "width", "height", "order", "batch", "seed", "tree", "layout", "prefetch")
@@ -154,6 +162,7 @@ _RULES: dict[object, tuple[str, Callable[[Any], bool]]] = {
     float: ("a number", _is_number),
     Point: ("three numbers", lambda value: isinstance(value, list) and len(value) == 3 and all(map(_is_number, value))),
     dict: ("an object", lambda value: isinstance(value, dict)),
+    Mapping[str, Any] | None: ("an object", lambda value: isinstance(value, dict)),
     Mapping[str, Any]: ("an object", lambda value: isinstance(value, dict)),
 }
 
@@ -177,6 +186,6 @@ def _parsed(facts: Any, values: dict[str, Any], of: str, path: Path) -> Any:
             found[each.name] = {name: value for name, value in values.items() if name not in found}
         elif is_dataclass(each.type):
             found[each.name] = _parsed(each.type, _checked(dict, value, entry, path), f"{entry}.", path)
-        elif value is not None or each.name != "image_sha256":
+        elif value is not None or each.name not in _OPTIONAL:
             found[each.name] = _checked(each.type, value, entry, path)
     return facts(**found)

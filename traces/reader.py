@@ -2,9 +2,11 @@
 
 import hashlib
 import weakref
+from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +53,19 @@ class Run:
         self.footer = footer
         self._files = files
         self._axis: np.ndarray | None = None  # of nodes that have been checked
+
+    def __repr__(self) -> str:
+        of = self.identity
+        scene = f"{of.scene} (stand-in)" if of.stand_in else of.scene
+        return f"<Run {of.path}: {scene}, {of.tree}, {of.pixels}, {self.footer.n_rays:,} rays, {self.n_accesses:,} accesses>"
+
+    def _repr_html_(self) -> str:
+        """Return the facts and the picture, for notebooks."""
+        facts = {name: value for name, value in self.identity.to_dict().items() if value is not None}
+        facts |= {"rays": f"{self.footer.n_rays:,}", "accesses": f"{self.n_accesses:,}", "nodes": f"{self.n_nodes:,}"}
+        lines = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in facts.items())
+        picture = b64encode((self.path / "image.png").read_bytes()).decode()
+        return f'<table>{lines}</table><img alt="the picture of {escape(self.name)}" src="data:image/png;base64,{picture}">'
 
     @property
     def name(self) -> str:

@@ -117,7 +117,7 @@ class Timing:
         }  # fmt: skip
 
 
-class _Job:
+class Job:
     """One cache on one machine under one policy, stepping through the stretches."""
 
     def __init__(self, prefetch: Prefetch, parameters: Parameters, machine: Machine, clock: ClockState, unit: Any) -> None:
@@ -228,22 +228,23 @@ class Workshop:
     """Makes jobs for one source, and runs them together."""
 
     def __init__(
-        self, source: RunSource, threads: int, progress: Callable[[int], object] | None = None, by: str = BY[0]
+        self, source: RunSource, threads: int, progress: Callable[[int], object] | None = None, by: str = BY[0], *,
+        is_whole: bool = True,
     ) -> None:  # fmt: skip
         self._source, self._threads, self._progress, self._by = source, threads, progress, BY.index(by)
         self._trees: dict[int, tuple[Tree, int]] = {}
         self._boxes = source.run.footer.tree.node_format.boxes
-        self._rays = cache(lambda: traced_rays(source.run))
+        self._rays = cache(lambda: traced_rays(source.run)) if is_whole else None
 
     def job(
-        self, config: CacheConfig, clock: Clock, prefetch: Prefetch, *, is_scout: bool = False, scout: _Job | None = None,
+        self, config: CacheConfig, clock: Clock, prefetch: Prefetch, *, is_scout: bool = False, scout: Job | None = None,
         log: tuple[int, int] = (0, 0),
-    ) -> _Job | None:  # fmt: skip
+    ) -> Job | None:  # fmt: skip
         """Return a job, or with ``is_scout`` that of the pass before, None if the policy needs none."""
         policy = prefetch.policy
         if is_scout and policy.scout is None:
             return None
-        tree, n_lines = self._tree(config.line_bytes)
+        tree, n_lines = self.tree(config.line_bytes)
         machine = make_machine(tree, clock.rays, n_lines)
         run = self._source.run
         facts = Facts(run.footer.tree.node_bytes, config.line_bytes, run.n_accesses, self._rays)
@@ -257,7 +258,7 @@ class Workshop:
             policy.is_perfect, skips=reads_less, follows=reads_less, watches_leaves=policy.watches_leaves, by=self._by,
             mask=set_mask(config.n_sets),
         )  # fmt: skip
-        return _Job(prefetch, parameters, machine, make_state(config, machine, parameters, *log), unit)
+        return Job(prefetch, parameters, machine, make_state(config, machine, parameters, *log), unit)
 
     def log(self, config: CacheConfig, clock: Clock, prefetch: Prefetch, n_events: int) -> list[list[int]]:
         """Return events of one job from the middle of the run on, as ``kernel._note`` keeps them."""
@@ -271,7 +272,7 @@ class Workshop:
         return job.clock.log[: int(job.clock.numbers[0].n_logged)].tolist()
 
     def _unit(
-        self, policy: Policy, machine: Machine, facts: Facts, options: Any, is_scout: bool, scout: _Job | None
+        self, policy: Policy, machine: Machine, facts: Facts, options: Any, is_scout: bool, scout: Job | None
     ) -> Any:  # fmt: skip
         if is_scout:
             assert policy.scout is not None
@@ -279,12 +280,13 @@ class Workshop:
         assert policy.make_unit is not None
         return policy.make_unit(machine, facts, **options, **({"scouted": scout.unit} if scout else {}))
 
-    def _tree(self, line_bytes: int) -> tuple[Tree, int]:
+    def tree(self, line_bytes: int) -> tuple[Tree, int]:
+        """Return ``tree_of`` the source, which is read once; not by several threads at a time."""
         if line_bytes not in self._trees:
             self._trees[line_bytes] = tree_of(self._source, line_bytes)
         return self._trees[line_bytes]
 
-    def run_all(self, jobs: Sequence[_Job], stretches: Stretches) -> None:
+    def run_all(self, jobs: Sequence[Job], stretches: Stretches) -> None:
         """Step all jobs through the run."""
         stretches.keep(0, 0)
         with thread_pool(self._threads) as pool:
@@ -297,7 +299,7 @@ class Workshop:
                     self._progress(rows.nodes.size)
 
 
-def _timing(source: RunSource, config: CacheConfig, clock: Clock, job: _Job, without: _Job) -> Timing:
+def _timing(source: RunSource, config: CacheConfig, clock: Clock, job: Job, without: Job) -> Timing:
     numbers, other, port, footer = job.clock.numbers[0], without.clock.numbers[0], job.machine.port[0], source.run.footer
     account = list(numbers.dtype.names)
     lines = {name: int(numbers[name]) for name in account[account.index("hits") :]}

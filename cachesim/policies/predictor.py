@@ -203,7 +203,8 @@ def make_unit(
     machine: Machine, facts: Facts, *, entries: int, ways: int, origin: int, direction: int, up: int
 ) -> Predictor:  # fmt: skip
     """Return the unit of a machine."""
-    assert facts.rays is not None
+    if facts.rays is None:
+        raise NptraceError("the predictor needs the rays of a whole run; time all of it")
     n_slots, depth = machine.stack.shape
     rays, n_sets = facts.rays(), entries // ways
     keys = keys_of(rays, origin, direction)

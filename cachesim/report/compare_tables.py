@@ -1,12 +1,9 @@
-"""A comparison of policies as tables, in sentences, and as a plot."""
+"""A comparison of policies as tables, and in sentences."""
 
 from collections.abc import Sequence
 from itertools import groupby
-from pathlib import Path
 
 from cachesim.clock.compare import BOUND, REFERENCE, Compared
-from cachesim.report.pictures import PICTURES, check_plot, ending_of
-from nptrace_base.atomic import whole_file
 from nptrace_base.tables import Table, number, percent
 from traces.identity import labels
 
@@ -90,38 +87,3 @@ def _verdict(name: str, rows: Sequence[Compared]) -> list[str]:
             f"at {number(best.traffic_ratio, 2)} of the bytes; on top of it: {gains}."
         )
     return found
-
-
-def plot(rows: Sequence[Compared], path: Path) -> None:
-    """Draw the speed-ups as bars, a panel per run, as a PNG, SVG or PDF file by the ending of its name."""
-    check_plot(path)
-    ending = ending_of(path, PICTURES)
-    with whole_file(path) as temporary:
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
-
-        with rc_context({"svg.hashsalt": "npcache", "svg.fonttype": "none", "pdf.fonttype": 42, "font.size": 8}):
-            names = labels(row.timing.identity for row in rows)
-            runs = [list(members) for _, members in groupby(rows, key=lambda row: row.timing.identity)]
-            n_bars = max(len(members) for members in runs)
-            figure = Figure(figsize=(4.6 * len(runs), 0.8 + 0.19 * n_bars), layout="constrained")
-            panels = figure.subplots(1, len(runs), squeeze=False)[0]
-            for panel, members in zip(panels, runs, strict=True):
-                shown = [row for row in members if row.timing.prefetch != BOUND]  # its bar would dwarf the others
-                shown.sort(key=lambda row: row.timing.cycles, reverse=True)
-                texts = [
-                    row.timing.prefetch if row.group == "policy"
-                    else f"{row.timing.config.line_bytes} B, {row.timing.layout}, {row.timing.prefetch}"
-                    for row in shown
-                ]  # fmt: skip
-                colours = ["#4477aa" if row.group == "policy" else "#ccbb44" for row in shown]
-                bars = panel.barh(range(len(shown)), [row.speed_up or 0.0 for row in shown], color=colours)
-                panel.bar_label(bars, fmt="%.2f", padding=2, fontsize=6)
-                panel.set_yticks(range(len(shown)), texts, fontsize=6)
-                panel.axvline(1, color="black", linewidth=0.8)
-                bound = members[0].reference.cycles / members[0].bound.cycles
-                panel.set_title(f"{names[members[0].timing.identity]} (bound {bound:.2f})", fontsize=9)
-                panel.margins(y=0.01)
-            figure.supxlabel("speed-up over no prefetching; blue: policies, yellow: layouts and line sizes", fontsize=8)
-            stamps: dict[str, dict[str, None]] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-            figure.savefig(temporary, dpi=200, metadata=stamps.get(ending), format=ending[1:])

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from nptrace.clock_options import Machines, machine_options, machine_sources
-from nptrace.groups import BadInput, Command
+from nptrace.clock_options import Machines, machine_options, machine_sources, one_machine
+from nptrace.groups import Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
@@ -41,24 +41,21 @@ def compare(
     npcache compare traces/bunny-bvh --size 16K --assoc 2 --rays 4 --plot compare.png
     """
     from cachesim.report import compare_tables
+    from cachesim.report.bars import draw_speed_ups
     from cachesim.report.pictures import check_plot
     from nptrace.studies import compared
 
-    if len(machines.configs) * len(machines.clocks) > 1:
-        raise BadInput(
-            f"compare takes one cache and one machine, and the options ask for {len(machines.configs)} and "
-            f"{len(machines.clocks)}; use npcache time for lists"
-        )
+    config, clock = one_machine(machines)
     if picture is not None:
         check_plot(picture)
     paths, began = chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths)) as bar:
         rows = compared(
-            paths, machines.configs[0], machines.clocks[0], prefetch, layout, bar, baselines=baselines, threads=threads
+            paths, config, clock, prefetch, layout, bar, baselines=baselines, threads=threads
         )  # fmt: skip
         if picture is not None:
             bar.phase("plot")
-            compare_tables.plot(rows, picture)
+            draw_speed_ups([row.to_dict() for row in rows], picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
     done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began, "npcache table1")

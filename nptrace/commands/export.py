@@ -1,4 +1,4 @@
-"""nptrace export: a run as a trace that DineroIV replays."""
+"""nptrace export: a run as a trace of addresses, for DineroIV or in CSV or Parquet."""
 
 import shlex
 import time
@@ -6,14 +6,17 @@ from pathlib import Path
 
 import click
 
-from nptrace.groups import Command
+from nptrace.groups import BadInput, Command
 from nptrace.output import output_option
 from nptrace.progress import Progress, done, say
 
 
 @click.command(cls=Command, old={"--to": "--format", "--prefetch": "--prefetch-as"})
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--format", "form", type=click.Choice(["din"]), default="din", show_default=True, help="DineroIV's traces.")
+@click.option(
+    "--format", "form", type=click.Choice(["din", "csv", "parquet"]), default="din", show_default=True,
+    help="DineroIV's traces, or columns address, type and size.",
+)  # fmt: skip
 @click.option("--binary", is_flag=True, help="Write DineroIV's binary records instead of text.")
 @click.option(
     "--prefetch-as",
@@ -23,23 +26,30 @@ from nptrace.progress import Progress, done, say
     show_default=True,
     help="Access type of the prefetch requests: b, read (0) or misc (3); omit leaves them out.",
 )
-@output_option("-o", "--output", help="Output file, - for stdout; by default RUN.din.")
+@output_option("-o", "--output", help="Output file, - for stdout; by default RUN.din, .csv or .parquet.")
 def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
-    """Write a run as a trace that DineroIV itself replays.
+    """Write a run as a trace of addresses: for DineroIV, or in CSV or Parquet for any other program.
 
     \b
     nptrace export traces/bunny-bvh
+    nptrace export traces/bunny-bvh --format parquet -o bunny.parquet
     dineroIV -informat d -l1-usize 8k -l1-ubsize 32 -l1-uassoc 2 < bunny-bvh.din
     """
+    from traces.address_files import export_addresses
     from traces.din import export_din
     from traces.format import printable
     from traces.reader import open_run
 
+    if binary and form != "din":
+        raise BadInput(f"--binary is a form of DineroIV's traces, and {form} has none; leave it out")
     opened, began = open_run(run), time.perf_counter()
     target = output or Path(f"{opened.name}.{form}")
     with Progress(1) as bar:
         bar.job(opened.name)
         bar.phase("export")
-        written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch, warn=say)
+        if form == "din":
+            written = export_din(opened, target, fmt="binary" if binary else "text", prefetch=prefetch, warn=say)
+        else:
+            written = export_addresses(opened, target, form=form, prefetch=prefetch)
     name = printable(str(target))
     done(f"{name}: {written:,} accesses", began, "" if name == "-" else f"npcache replay {shlex.quote(name)}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from nptrace.groups import Command
+from nptrace.groups import BadInput, Command
 from nptrace.options import threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
@@ -19,6 +19,10 @@ from nptrace.sources import again
 @click.option("--pixels", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
 @click.option("--quick", is_flag=True, help="Two leaf sizes and two machines, in a minute.")
 @click.option(
+    "--part", "parts", type=click.IntRange(1, 16), metavar="N", default=1, show_default=True,
+    help="Time every N-th piece of the rays, for speed-ups with 95 % intervals in less time (docs/speed-error.md).",
+)  # fmt: skip
+@click.option(
     "--out", type=click.Path(path_type=Path), default="traces/map", show_default=True,
     help="Folder for the runs and the finished parts; the same command goes on where it stopped.",
 )  # fmt: skip
@@ -27,7 +31,7 @@ from nptrace.sources import again
 @scene_options
 @results_options()
 def map_(
-    names: tuple[str, ...], pixels: str, quick: bool, out: Path, threads: int, picture: Path | None, strict: bool,
+    names: tuple[str, ...], pixels: str, quick: bool, parts: int, out: Path, threads: int, picture: Path | None, strict: bool,
     offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Map where prefetching pays: leaf size x triangle test x miss latency x rays in flight x cache, for each tree.
@@ -35,9 +39,10 @@ def map_(
     The paper's unit (stack) and the request at the push (push), against no prefetching.
 
     \b
-    nptrace map bunny --quick
+    nptrace map bunny --quick --part 8
     nptrace map bunny conference sibenik sponza -o map.parquet --plot map.png
     """
+    from cachesim.clock.parts import LEAST
     from cachesim.report import map_tables
     from cachesim.report.pictures import check_plot
     from nptrace.break_even import QUICK, Grid, break_even
@@ -47,6 +52,11 @@ def map_(
     grid, began = QUICK if quick else Grid(), time.perf_counter()
     if picture is not None:
         check_plot(picture)
+    shooting = Shooting(*parse_size(pixels))
+    if parts > 1 and shooting.width * shooting.height < LEAST:
+        raise BadInput(
+            f"--part takes {LEAST:,} primary rays, and {pixels} pixels have fewer; time all rays, or take more pixels"
+        )
     scenes = load_scenes(names, strict, offline)
     with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
 
@@ -54,7 +64,7 @@ def map_(
             bar.job(name)
             return bar.phase("time", len(grid.caches))
 
-        rows = break_even(scenes, Shooting(*parse_size(pixels)), grid, out, threads=threads, on_run=on_run)
+        rows = break_even(scenes, shooting, grid, out, threads=threads, on_run=on_run, parts=parts)
     if picture is not None:
         map_tables.plot(rows, picture)
     if picture is None or output.is_asked_for:

@@ -1,18 +1,24 @@
 """nptrace render: scenes -> runs."""
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from nptrace import __version__
 from nptrace.groups import Command
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
-from nptrace.progress import Progress, detail, done, say, size_text
-from nptrace.scene_options import accel_option, bvh_nodes_option, check_run_names, load_scenes, scene_options, tree_params
+from nptrace.progress import Progress, done, size_text
+from nptrace.scene_options import (
+    accel_option,
+    bvh_nodes_option,
+    check_run_names,
+    load_scenes,
+    own_rays,
+    scene_options,
+    tree_params,
+)
 from nptrace.sources import again
 
 if TYPE_CHECKING:
@@ -59,6 +65,10 @@ if TYPE_CHECKING:
     show_default=True,
     help="BVH builder: sweep, exact SAH over all centroids, or binned, up to 16 bins; c_trav, c_isect, min_leaf, max_leaf.",
 )
+@click.option(
+    "--rays", "ray_file", type=click.Path(path_type=Path), metavar="FILE.parquet",
+    help="Trace these rays instead of a picture's: columns origin, direction and, if you like, t_min, t_max, any_hit.",
+)  # fmt: skip
 @bvh_nodes_option("Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.")
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
 @click.option(
@@ -71,8 +81,8 @@ if TYPE_CHECKING:
 @results_options()
 def render(
     names: tuple[str, ...], accel: list[str], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
-    batch: int, seed: int, kd_text: str, bvh_text: str, bvh_nodes: tuple[str, ...], out: Path, run_names: tuple[str, ...],
-    overwrite: bool, threads: int, strict: bool, offline: bool, output: Output,
+    batch: int, seed: int, kd_text: str, bvh_text: str, bvh_nodes: tuple[str, ...], ray_file: Path | None, out: Path,
+    run_names: tuple[str, ...], overwrite: bool, threads: int, strict: bool, offline: bool, output: Output,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
@@ -85,33 +95,21 @@ def render(
     nptrace render a/scene.gltf b/scene.gltf --name chair --name table
     nptrace render model.obj --accel bvh --pixels 512x512 --camera "eye=0,2,5 at=0,0,0"
     """
+    from nptrace.studies import rendered
     from rtrace.camera import parse_size
-    from rtrace.render import Shooting, render_all
-    from rtrace.scenes import float32_check
-    from rtrace.trees.strays import margin_note
+    from rtrace.ray_file import RayFile
+    from rtrace.render import Shooting
 
     began = time.perf_counter()
     check_run_names(run_names, len(names) * max(len(cameras), 1))
-    shooting = Shooting(*parse_size(pixels), order, batch, seed)
+    shooting: Shooting | RayFile
+    shooting = picture = Shooting(*parse_size(pixels), order, batch, seed)
+    if ray_file is not None:
+        shooting = own_rays(ray_file, picture, [*cameras, *([light] if light else [])])
     chosen = tree_params(accel, kd_text, bvh_text, bvh_nodes)
     scenes = load_scenes(names, strict, offline, cameras, light)
-    for scene in scenes:
-        if scene.precision is not None:
-            detail(f"{scene.label}: {float32_check.choice(scene.precision)}")
-        if note := margin_note(scene.triangles, scene.bounds, scene.camera.eye):
-            say(f"{scene.label}: {note}")
-    with Progress(len(scenes) * len(chosen)) as progress:
-
-        def on_phase(run: str, phase: str, total: int | None) -> Callable[[int], object]:
-            if phase == "build":
-                progress.job(run)
-            return progress.phase(phase, total)
-
-        summaries = render_all(
-            scenes, chosen, shooting, out, names=run_names, overwrite=overwrite, threads=threads,
-            tool_version=__version__, on_phase=on_phase,
-        )  # fmt: skip
-        runs = list(summaries)
+    with Progress(len(scenes) * len(chosen)) as bar:
+        runs = rendered(scenes, chosen, shooting, out, bar, names=run_names, overwrite=overwrite, threads=threads)
     output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
     n_rays, n_bytes = sum(run.n_rays for run in runs), sum(run.n_bytes for run in runs)
     what = f"{len(runs)} run{'s' * (len(runs) != 1)}, {n_rays:,} rays, {size_text(n_bytes)}"

@@ -17,7 +17,7 @@ BY = ("pixel", "level", "node", "ray-type")
 
 
 @click.command(cls=Command, old={"--report": "--format"}, lists={"Prefetch policies": untimed_policies})
-@click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @size_option()
 @ways_option()
@@ -39,7 +39,9 @@ def replay(
     policy: list[str], seed: int, prefetch: list[str], layout: list[str], three_c: bool, by: str | None, threads: int,
     output: Output,
 ) -> None:  # fmt: skip
-    """Replay runs, or DineroIV traces, through every combination of the cache options, exactly.
+    """Replay runs, or traces of addresses, through every combination of the cache options, exactly.
+
+    A FILE is a DineroIV trace, also compressed, or CSV or Parquet with a column address and, if you like, type and size.
 
     \b
     npcache replay --size 8K --assoc 2

@@ -13,7 +13,7 @@ from nptrace.sources import again, chosen_sources, traces_option
 
 
 @click.command()
-@click.argument("sources", metavar="[RUN | FILE.din | -]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=click.Path(path_type=Path))
 @traces_option()
 @list_option("--size", item=str, metavar="SIZES", default="4K..64K", help="Cache sizes and ranges, e.g. 4K..64K,96K.")
 @ways_option()
@@ -37,6 +37,7 @@ def sweep(
     """
     from cachesim.grid import grid, parse_range
     from cachesim.report import sweep_output
+    from cachesim.report.curves import draw_curves
     from cachesim.report.pictures import check_plot
     from nptrace.studies import swept
 
@@ -48,7 +49,7 @@ def sweep(
         rows = swept(paths, configs, prefetch, layout, bar, threads=threads)
         if picture is not None:
             bar.phase("plot")
-            sweep_output.plot(rows, picture)
+            draw_curves([row.to_dict() for row in rows], picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
     n_runs = len({row.identity for row in rows})

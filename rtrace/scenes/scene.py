@@ -68,6 +68,9 @@ class Scene(NamedTuple):
     precision: Precision | None = None
     view: str = ""
 
+    def __repr__(self) -> str:
+        return f"<Scene {self.label}: {len(self.triangles):,} triangles, from {self.source}>"
+
     @property
     def label(self) -> str:
         """The name as printed beside results."""

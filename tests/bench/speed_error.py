@@ -421,42 +421,70 @@ def points_of(rows: list[dict[str, Any]]) -> dict[tuple[str, str], tuple[float, 
 
 def draw(rows: list[dict[str, Any]]) -> None:
     """Draw speed-up against the largest error, with the frontier, as PNG and SVG."""
-    import matplotlib
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    from cachesim.report.curves import round_numbers
+    from cachesim.report.pictures import COLOURS, drawn
 
-    plt.rcParams["svg.hashsalt"] = "nptrace"
     points = points_of(rows)
-    figure, axes = plt.subplots(figsize=(8, 5.5), layout="constrained")
     least = 0.05  # exact methods stand there: the axis is logarithmic
-    # Where a label stands: beside its point to the right, left, or below, so that neighbouring methods keep apart.
-    places = [((4, 4), "left", "bottom"), ((-4, 4), "right", "bottom"), ((3, -3), "left", "top")]
-    for i, method in enumerate(dict.fromkeys(method for method, _ in points)):
-        of = {parameter: point for (name, parameter), point in points.items() if name == method}
-        x, y = zip(*of.values(), strict=True)
-        axes.plot(x, np.maximum(y, least), "o", label=method)
-        for parameter, point in of.items():
-            is_exact = point[1] < least
-            offset, left, below = ((0, 6), "left", "bottom") if is_exact else places[i % 3]
-            axes.annotate(
-                parameter.partition(",")[0] if method == "another tree" else parameter,
-                (point[0], max(point[1], least)),
-                xytext=offset,
-                textcoords="offset points",
-                fontsize=6,
-                ha=left,
-                va=below,
-                rotation=60 if is_exact else 0,
-                rotation_mode="anchor",
-            )
-    front = [points[key] for key in frontier(points)]
-    axes.plot([p[0] for p in front], [max(p[1], least) for p in front], "-", color="0.6", zorder=0, label="Pareto front")
-    axes.set(xscale="log", yscale="log", xlabel="speed-up over the filtered exact run", ylabel="largest error of Table I, %")
-    axes.legend(fontsize=7)
+    places = {key: (speed, max(error, least)) for key, (speed, error) in points.items()}
     for kind in ("png", "svg"):
-        figure.savefig(PICTURE.with_suffix(f".{kind}"), dpi=110, metadata={"Date": None} if kind == "svg" else None)
-    plt.close(figure)
+        with drawn(PICTURE.with_suffix(f".{kind}"), 8.6, 5.2, dpi=130) as figure:
+            axes = figure.subplots()
+            axes.set(
+                xscale="log",
+                yscale="log",
+                xlabel="speed-up over the filtered exact run",
+                ylabel="largest error of Table I (%)",
+            )
+            axes.set(xlim=(0.2, 31), ylim=(least / 2.2, 400))
+            axes.plot(
+                *zip(*(places[key] for key in frontier(points)), strict=True), color="0.75", zorder=0, label="Pareto front"
+            )
+            for i, method in enumerate(dict.fromkeys(method for method, _ in points)):
+                of = [place for (name, _), place in places.items() if name == method]
+                line = ":" if method not in ("exact", "another tree") else "none"
+                axes.plot(
+                    *zip(*of, strict=True), color=COLOURS[i], marker="osD^vPX*"[i], markersize=5, linestyle=line, label=method
+                )
+            for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+                axis.set_major_locator(FixedLocator(round_numbers(*limits)))
+                axis.set_major_formatter(FuncFormatter(lambda value, _: "exact" if value < least else f"{value:g}"))
+                axis.set_minor_locator(NullLocator())
+            axes.grid(color="0.93", linewidth=0.6)
+            axes.axhline(least, color="0.85", linewidth=0.8, zorder=0)
+            axes.annotate("exact", (axes.get_xlim()[1], least), (-3, 3), textcoords="offset points", ha="right", fontsize=8)
+            figure.legend(loc="outside right upper", frameon=False)
+            figure.draw_without_rendering()  # the axes take their size, and keep it
+            figure.set_layout_engine("none")
+            names = [parameter.partition(",")[0] if method == "another tree" else parameter for method, parameter in places]
+            label_apart(axes, names, list(places.values()))
+
+
+def label_apart(axes: Any, texts: list[str], points: list[tuple[float, float]]) -> None:
+    """Write a text beside each point, in the first place around it where it covers no other text and no point."""
+    dots = axes.transData.transform(points)
+    taken: list[Any] = []
+    around = [(0, 7), (0, -7), (6, 0), (-6, 0), (5, 6), (-5, 6), (5, -6), (-5, -6)]
+    around += [(x, y) for y in (17, -17, 27, -27) for x in (0, 8, -8)]
+    sides = {1: "left", 0: "center", -1: "right"}
+    for text, point in zip(texts, points, strict=True):
+        for x, y in around:
+            label = axes.annotate(
+                text, point, (x, y), textcoords="offset points", fontsize=7, ha=sides[int(np.sign(x))],
+                va={1: "bottom", 0: "center", -1: "top"}[int(np.sign(y))],
+            )  # fmt: skip
+            box = label.get_window_extent().expanded(1.2, 1.2)
+            is_free = not any(box.overlaps(other) for other in taken) and not any(box.contains(*dot) for dot in dots)
+            if (
+                is_free
+                and axes.get_window_extent().contains(box.x0, box.y0)
+                and axes.get_window_extent().contains(box.x1, box.y1)
+            ):
+                taken.append(box)
+                break
+            label.remove()
 
 
 if __name__ == "__main__":

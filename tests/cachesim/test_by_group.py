@@ -1,5 +1,7 @@
 """Counts by pixel, level, node and ray type: those of a slow model, and their sums are the counts of the whole trace."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,11 +22,18 @@ UNITS = {"stack:tris*2": {"budget": 2, "per_triangle": True}, "stack:1:once": {"
 KINDS = ("kdtree", "bvh", "bvh64")
 
 
+class Runs(dict):
+    """Traces and runs by kind and seed, which a failure does not print."""
+
+    def __repr__(self):
+        return "runs"
+
+
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     traces = {(kind, seed): make_trace(kind, seed, n_rays=12) for kind in KINDS for seed in range(4)}
-    return {key: (trace, write(trace, folder / f"{key[0]}-{key[1]}")) for key, trace in traces.items()}
+    return Runs({key: (trace, write(trace, folder / f"{key[0]}-{key[1]}")) for key, trace in traces.items()})
 
 
 def group_of(trace, by, ray, node):
@@ -179,7 +188,24 @@ def test_what_has_no_groups_is_refused(tmp_path):
         replay_by(write(trace, tmp_path / "run"), [CacheConfig(128)], "colour")
 
 
-@pytest.mark.parametrize("change", [lambda rows: rows[1:], lambda rows: [rows[0], (0, 0, 1), *rows[1:]]])
+def test_a_request_of_the_root_begins_no_ray(tmp_path):
+    """No policy of ours requests it, and a run of another program may."""
+    trace = make_trace("bvh", 1, n_rays=6)
+    at = next(i for i, (ray, _, kind) in enumerate(trace.rows) if ray == 2 and kind == 2)
+    trace.rows.insert(at + 1, (2, 0, 3))
+    [result] = replay_by(write(trace, tmp_path / "run"), [CacheConfig(128)], "pixel")
+    model = by_the_model(trace, CacheConfig(128), "traced", "pixel")
+    assert result.counts["prefetch_accesses"].tolist() == [model.get((ray, "prefetch_accesses"), 0) for ray in range(6)]
+
+
+CHANGES = [
+    lambda rows: rows[1:],
+    lambda rows: [rows[0], (0, 0, 1), *rows[1:]],
+    lambda rows: [row for row in rows if row[:2] != (1, 0)],
+]
+
+
+@pytest.mark.parametrize("change", CHANGES)
 def test_rays_that_do_not_begin_at_the_root_once_are_refused(tmp_path, change):
     trace = make_trace("bvh", 0, n_rays=3)
     trace.rows = change(trace.rows)
@@ -188,3 +214,19 @@ def test_rays_that_do_not_begin_at_the_root_once_are_refused(tmp_path, change):
         with pytest.raises(NptraceError, match=f"not every ray reads the root.*told apart by {by}"):
             replay_by(run, [CacheConfig(128)], by, prefetch="none")
     assert sum(replay_by(run, [CacheConfig(128)], "node", prefetch="none")[0].counts["demand_accesses"]) > 0
+
+
+@pytest.mark.parametrize("by", ["level", "pixel"])
+def test_memory_does_not_grow_with_the_trace(tmp_path, by):
+    """Two million accesses against half a million: the same groups, the same batches."""
+    trace = make_trace("bvh", 3, n_rays=300, max_level=10)
+    repeats = [n * (1 << 19) // len(trace.rows) for n in (1, 4)]
+    peaks = []
+    for n in repeats:
+        run = write(trace, tmp_path / str(n), repeat=n)
+        tracemalloc.start()
+        replay_by(run, [CacheConfig(512)], by, threads=1)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    n_rays = 300 * (repeats[1] - repeats[0])
+    assert peaks[1] < 1.1 * peaks[0] + (64 * n_rays if by == "pixel" else 0)  # the pixel of each ray is kept, no access

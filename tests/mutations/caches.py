@@ -151,4 +151,13 @@ MUTATIONS = [
     Mutation("estimate: the first look ends the search", "cachesim/sampling/sampler.py", "LEAST_MISSES = 100", "LEAST_MISSES = 0", "tests/cachesim/sampling/test_estimate.py"),
     Mutation("estimate: never more than a part of the run", "cachesim/sampling/sampler.py", "MOST_SHARE = 0.6", "MOST_SHARE = 60.0", "tests/cachesim/sampling/test_estimate.py"),
     Mutation("estimate: open misses of the long warm-up are no reason", "cachesim/sampling/sampler.py", "_SETTLED = 0.25", "_SETTLED = 1e9", "tests/cachesim/sampling/test_estimate.py"),
+    # --- counts by group ---
+    Mutation("by group: a useful prefetch is of the demand's group", "cachesim/group_counts.py", "counts[np.int64(groups.filled_by[line_id]), USEFUL] += 1", "counts[group, USEFUL] += 1", "tests/cachesim/test_by_group.py"),
+    Mutation("by group: a redundant prefetch takes the line over", "cachesim/group_counts.py", "        if not fact & RESIDENT:\n            counts[group, FILLED] += 1\n            groups.filled_by[line_id] = group\n", "        groups.filled_by[line_id] = group\n        if not fact & RESIDENT:\n            counts[group, FILLED] += 1\n", "tests/cachesim/test_by_group.py"),
+    Mutation("by group: a prefetch of the root begins a ray", "cachesim/group_counts.py", "nodes[i] == 0 and access_types[i] < PREFETCH", "nodes[i] == 0", "tests/cachesim/test_by_group.py"),
+    Mutation("by group: every batch begins with the first ray", "cachesim/by_group.py", "self._of, self._n_begun, groups)", "self._of, 0, groups)", "tests/cachesim/test_by_group.py"),
+    Mutation("by group: the second line of a node is of the next event", "cachesim/by_group.py", "np.repeat(groups, n_of)", "np.resize(groups, lines.size)", "tests/cachesim/test_by_group.py"),
+    Mutation("by group: requests of a sequential prefetcher have no future line", "cachesim/by_group.py", "next_ids = lines + np.uint32(self._ahead) if self._ahead else lines", "next_ids = lines", "tests/cachesim/test_by_group.py"),
+    Mutation("by group: a missing ray is not noticed", "cachesim/by_group.py", "and n_events and self._n_begun != self._of.size", "and n_events and self._n_begun > self._of.size", "tests/cachesim/test_by_group.py"),
+    Mutation("by group: opt counts from the first access of a batch", "cachesim/by_group.py", "n_before = future.n_taken", "n_before = 0", "tests/cachesim/test_by_group.py"),
 ]

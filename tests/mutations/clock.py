@@ -71,7 +71,7 @@ MUTATIONS = [
     Mutation("predictor: a request stays when its node is read", policy("predictor"), "if first <= line < first + machine.tree.n_lines[node]:", "if line < 0:", PREDICTOR),
     Mutation("predictor: rays that miss are learned", policy("predictor"), "if node <= 0 or not self.is_hit[ray]:", "if node <= 0:", PREDICTOR),
     Mutation("predictor: a right prediction is replaced", policy("predictor"), "if above != self.predicted[slot]:", "if True:", PREDICTOR),
-    Mutation("predictor: a look-up refreshes nothing", policy("predictor"), "    put_first(unit, of, way, unit.keys[ray], node)\n    return node\n", "    return node\n", PREDICTOR),
+    Mutation("predictor: a look-up refreshes nothing", policy("predictor"), "    put_first(unit, of, way, unit.keys[ray], node)\n    return node\n", "    return node\n", PREDICTOR + " -k recently"),
     Mutation("predictor: the path goes one level higher", policy("predictor"), "while left > 0 and machine.tree.level[node] > 1:", "while left >= 0 and machine.tree.level[node] > 1:", PREDICTOR),
     Mutation("predictor: rays are counted by slot", KERNEL, "machine.sp[slot], machine.ray[slot] = 0, number", "machine.sp[slot], machine.ray[slot] = 0, slot", PREDICTOR),
     Mutation("predictor: theta keeps the lower bits", policy("predictor"), "np.hypot(x, y), z)).astype(np.int64) >> (8 - direction_bits)", "np.hypot(x, y), z)).astype(np.int64) & ((1 << direction_bits) - 1)", PREDICTOR + " -k key"),
@@ -83,6 +83,11 @@ MUTATIONS = [
     Mutation("candidates: no time for one", policy("machine"), "elif machine.last_issue[slot] == port.now - 1:", "elif machine.last_issue[slot] == port.now:", STACK),
     Mutation("ring: the slot that waits shortest goes first", policy("machine"), "    first = machine.waiting[0, ring]\n", "    first = machine.waiting[1, ring]\n", STACK),
     Mutation("ring: lines asked of a node given up count for the next", policy("machine"), "    machine.lines_asked[slot] = 0\n", "", PUSH),
+    # Part of a run
+    Mutation("parts: the warm-up is counted", "cachesim/clock/parts.py", "            at += int(cuts[piece] - cuts[piece - 1])\n", "", "tests/cachesim/clock/test_parts.py"),
+    Mutation("parts: every piece is warmed up by itself", "cachesim/clock/parts.py", "stretches.append((int(cuts[piece - 1]), int(cuts[piece])))", "stretches.append((int(cuts[piece]), int(cuts[piece + 1])))", "tests/cachesim/clock/test_parts.py"),
+    Mutation("parts: rays that differ without and with prefetches do not cancel", "cachesim/clock/parts.py", "(residuals, slow_residuals - residuals)", "(residuals, slow_residuals)", "tests/cachesim/clock/test_parts.py"),
+    Mutation("parts: a map of part of the rays is taken for one of all", "nptrace/break_even.py", "leaf, asdict(grid), parts]", "leaf, asdict(grid)]", "tests/nptrace/test_clock_commands.py -k part_of"),
     # Without a clock, and policies of others
     Mutation("replay: a policy that needs the clock is replayed", "cachesim/prefetch.py", "if prefetch.policy.needs_clock:", "if prefetch.policy.needs_clock and prefetch.kind != \"treelet\":", NEEDS),
     Mutation("replay: a scout that is left out", "cachesim/prefetch.py", "unit = scout(self._machine, self._facts, **prefetch.options) if scout else None", "unit = None", UNTIMED),

@@ -8,6 +8,15 @@ from tests.mutations.mutation import Mutation
 OUT, NAMES, KEPT = "tests/nptrace/test_outputs.py", "tests/nptrace/test_run_names.py", "tests/nptrace_base/test_kernel_cache.py"
 
 MUTATIONS = [
+    # Studies in a file, and functions
+    Mutation("study: a finished run is traced again", "nptrace/study.py", "    if path.is_dir():\n", "    if False:\n", "tests/nptrace/test_study.py -k stopped"),
+    Mutation("study: a run of other content is taken", "nptrace/study.py", 'return None if run.footer.differences(footer_of(scene, tree, shooting, "")) else run', "return run", "tests/nptrace/test_study.py -k another"),
+    Mutation("study: rows of another layout are taken", "nptrace/study.py", "repr(self.of), self.layout,", "repr(self.of),", "tests/nptrace/test_study.py -k 'combination or stopped'"),
+    Mutation("study: an option's error is of its table's line", "nptrace/study.py", "name = error.name if isinstance(error, OptionError) else self._name", "name = self._name", "tests/nptrace/test_study.py -k line"),
+    Mutation("study: of several orders the first alone", "nptrace/study.py", 'product(*(_several(of[name]) for name in names))', 'product(*(_several(of[name])[:1] for name in names))', "tests/nptrace/test_study.py -k combination"),
+    Mutation("functions: pandas gets copies", "nptrace/results.py", "self._table.to_pandas(types_mapper=pandas.ArrowDtype)", "self._table.to_pandas()", "tests/nptrace/test_api.py -k share"),
+    Mutation("functions: sweep's default of ways is 2", "nptrace/api.py", 'size: Given = "4K..64K", ways: Given = "1"', 'size: Given = "4K..64K", ways: Given = "2"', "tests/nptrace/test_api.py -k defaults"),
+    Mutation("functions: HTML is not escaped", "nptrace/results.py", "<caption>{escape(table.title)}", "<caption>{table.title}", "tests/nptrace/test_api.py -k escaped"),
     # One vocabulary
     Mutation("vocabulary: of a range of ways the first alone", "cachesim/grid.py", "(fitting if len(numbers) > 1 else ()) or numbers[:1]", "numbers[:1]", "tests/nptrace/test_one_vocabulary.py -k ways"),
     Mutation("vocabulary: a single number of ways that does not fit is left out", "cachesim/grid.py", "or numbers[:1]]", "or [n for n in numbers[:1] if not len(numbers) < 2 or n in fitting]]", "tests/nptrace/test_one_vocabulary.py -k ways"),

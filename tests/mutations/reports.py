@@ -11,6 +11,8 @@ STATE, TREES = "tests/cachesim/test_state_between_batches.py", "tests/rtrace/tre
 RENDERED, REPLAYED, SWEPT = PRINTED + " -k test_render", PRINTED + " -k test_replay", PRINTED + " -k test_sweep"
 FITTED, IDENTITY, NAMED = "tests/nptrace_base/test_tables.py", "tests/traces/test_identity.py", "tests/nptrace/test_run_names.py"
 CLOCKED = "tests/nptrace/test_clock_commands.py"
+CURVES, BARS, KNEES = "tests/cachesim/report/test_curves.py", "tests/cachesim/report/test_bars.py", "tests/cachesim/test_knees.py"
+VIEWED, BY_PIXEL = "tests/nptrace/test_view.py", "tests/cachesim/clock/test_by_pixel.py"
 PLOTTED = PRINTED + " -k plot"
 TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
 
@@ -58,13 +60,13 @@ MUTATIONS = [
     Mutation("order: squares column by column", "rtrace/camera.py", "split.transpose(3, 0, 1, 4, 2, 5)", "split.transpose(3, 0, 4, 1, 2, 5)", ORDERS),
     Mutation("order: another half of the random bits", "rtrace/camera.py", "& np.uint64(0xFFFFFFFF_00000000)", "<< np.uint64(32)", ORDERS),
     Mutation("order: random from the seed 0", "rtrace/camera.py", "np.random.PCG64(seed)", "np.random.PCG64(0)", ORDERS),
-    Mutation("order: --seed of render ignored", "nptrace/commands/render.py", "shooting = Shooting(*parse_size(pixels), order, batch, seed)", "shooting = Shooting(*parse_size(pixels), order, batch, 0)", PRINTED + " -k random_order"),
+    Mutation("order: --seed of render ignored", "nptrace/commands/render.py", "picture = Shooting(*parse_size(pixels), order, batch, seed)", "picture = Shooting(*parse_size(pixels), order, batch, 0)", PRINTED + " -k random_order"),
     # render
     Mutation("render: n_shadowed counts primary hits", "rtrace/render.py", "n_shadowed += chunk.n_shadowed", "n_shadowed += chunk.n_hits", RENDERED),
     Mutation("render: n_hits and n_shadow_rays swapped", "rtrace/render.py", "n_rays, n_hits, n_shadow, n_shadowed,\n", "n_rays, n_shadow, n_hits, n_shadowed,\n", RENDERED),
     Mutation("render: pre-fetches count as accesses", "rtrace/render.py", "n_accesses - n_prefetches - n_leaves, n_prefetches, n_bytes", "n_accesses - n_leaves, n_prefetches, n_bytes", RENDERED),
     Mutation("render: bytes without the picture's", "rtrace/render.py", "for file in path.iterdir())", "for file in path.glob('*.parquet'))", RENDERED),
-    Mutation("render: hits as a share of all rays", "rtrace/render.py", "self.n_hits / (self.n_rays - self.n_shadow_rays)", "self.n_hits / self.n_rays", RENDERED),
+    Mutation("render: hits as a share of all rays", "rtrace/render.py", "n = self.n_rays - self.n_shadow_rays", "n = self.n_rays", RENDERED),
     Mutation("render: shadowed as a share of the hits", "rtrace/render.py", "self.n_shadowed / self.n_shadow_rays if", "self.n_shadowed / self.n_hits if", RENDERED),
     Mutation("render: accesses per primary ray", "rtrace/render.py", "return self.n_accesses / self.n_rays", "return self.n_accesses / (self.n_rays - self.n_shadow_rays)", RENDERED),
     Mutation("render: columns of nodes and triangles swapped in the table", "nptrace/commands/render.py", "number(run.n_triangles), number(run.n_nodes)", "number(run.n_nodes), number(run.n_triangles)", RENDERED),
@@ -96,8 +98,8 @@ MUTATIONS = [
     Mutation("sweep: miss rate without over all accesses", "cachesim/sweep.py", "ratio(self.demand_misses_without, self.demand_accesses)", "ratio(self.demand_misses_without, self.demand_accesses + self.prefetch_accesses)", SWEPT),
     Mutation("sweep: A is the same as B", "cachesim/sweep.py", "everything, demand = self._streams[0], self._streams[-1]", "everything, demand = self._streams[0], self._streams[0]", SWEPT),
     Mutation("sweep: Parquet's rates as whole numbers", "nptrace_base/records.py", "arrow.get(type_, pa.float64())", "arrow.get(type_, pa.float32())", SWEPT),
-    Mutation("plot: with and without swapped", "cachesim/report/sweep_output.py", 'rates = [100.0 * (values[rate] or 0.0)', 'rates = [100.0 * (values["demand_miss_rate_without" if rate == "demand_miss_rate" else "demand_miss_rate"] or 0.0)', PLOTTED),
-    Mutation("plot: shares of one instead of per cent", "cachesim/report/sweep_output.py", "rates = [100.0 * (values[rate]", "rates = [(values[rate]", PLOTTED),
+    Mutation("plot: with and without swapped", "cachesim/report/curves.py", 'both = [(facts, row["demand_miss_rate"])]', 'both = [(facts, ratio(row["demand_misses_without"], row["demand_accesses"]))]', PLOTTED),
+    Mutation("plot: shares of one instead of per cent", "cachesim/report/curves.py", "[100 * rate for rate in line.rates]", "list(line.rates)", PLOTTED),
     # table1
     Mutation("table1: KB of A of 1000 bytes", "cachesim/report/table1.py", "result.config.line_bytes / 1024", "result.config.line_bytes / 1000", TABLE1),
     Mutation("table1: KB of B of 1000 bytes", "cachesim/report/table1.py", "result.bytes_from_memory / 1024", "result.bytes_from_memory / 1000", TABLE1),
@@ -141,7 +143,22 @@ MUTATIONS = [
     Mutation("identity: the order is not told", "traces/identity.py", '"order": of.order or "",', '"order": "",', IDENTITY),
     Mutation("identity: cameras of two scenes are told", "traces/identity.py", '"camera": ("scene",)', '"camera": ()', IDENTITY),
     Mutation("identity: width and height swapped", "traces/identity.py", "width=footer.width, height=footer.height", "width=footer.height, height=footer.width", IDENTITY + " tests/nptrace/test_printed_values.py::test_render"),
-    Mutation("plot: runs of several prefetch policies in one panel", "cachesim/report/sweep_output.py", "return row.identity, row.prefetch, row.layout", 'return row.identity, "", row.layout', "tests/cachesim/report/test_sweep_output.py"),
+    Mutation("plot: prefetch policies are one line", "cachesim/report/curves.py", '_DIMENSIONS = ("prefetch", "layout",', '_DIMENSIONS = ("layout",', CURVES),
+    Mutation("plot: runs of one name are one line", "cachesim/report/curves.py", "key = (identity, *(of", "key = (identity.run, *(of", CURVES),
+    Mutation("plot: layouts have panels before ways have", "cachesim/report/curves.py", '_CROWDING = ("ways",', '_CROWDING = ("layout", "ways",', CURVES),
+    Mutation("plot: one cache, one axis without a number", "cachesim/report/curves.py", "axes.xaxis.set_major_locator(FixedLocator(ticks))", "axes.xaxis.set_major_locator(NullLocator())", CURVES),
+    Mutation("plot: joined requests are not drawn", "cachesim/report/bars.py", '"joined": (("joined",), "0.5"), ', '', BARS),
+    Mutation("plot: misses of levels from accesses", "cachesim/report/bars.py", "[row[missed] for row in members]", "[row[reads] for row in members]", BARS),
+    Mutation("plot: the paper's numbers are ours", "cachesim/report/table1_plot.py", '"paper_ratio_paper", {', '"paper_ratio", {', BARS),
+    Mutation("plot: a cache of one line more", "cachesim/knees.py", "beyond[min(size + 1,", "beyond[min(size + 2,", KNEES),
+    Mutation("plot: a knee on the far side of the line", "cachesim/knees.py", "int(np.argmax(below))", "int(np.argmin(below))", KNEES),
+    Mutation("heat: rows from the bottom", "cachesim/heat.py", "return found.reshape(self.shape)", "return found.reshape(self.shape)[::-1]", VIEWED),
+    Mutation("heat: each tree on a scale of its own", "nptrace/commands/view.py", "scale = scale_of(label, values[:n_plain], is_signed", "scale = scale_of(label, values[:1], is_signed", VIEWED),
+    Mutation("heat: the first run minus the others", "nptrace/commands/view.py", "changes = [each - values[0]", "changes = [values[0] - each", VIEWED),
+    Mutation("heat: a picture that is there is replaced", "nptrace/commands/view.py", "if path.exists():", "if False:", VIEWED),
+    Mutation("heat: cycles of the reads of another cause", "cachesim/clock/by_pixel.py", "number % N_CAUSES] += log[i, 1]", "HIT] += log[i, 1]", BY_PIXEL),
+    Mutation("heat: a log that is full is taken for whole", "cachesim/clock/by_pixel.py", "if n_logged == len(clock.log):", "if n_logged > len(clock.log):", BY_PIXEL),
+    Mutation("heat: what was logged is counted twice", "cachesim/clock/by_pixel.py", '            clock.numbers["n_logged"][0] = 0\n', "", BY_PIXEL),
     Mutation("name: the batch is not in it", "rtrace/run_names.py", 'parts.append(f"batch{shooting.batch}")', "pass", NAMED),
     Mutation("name: a stand-in has the name of the scene", "rtrace/run_names.py", "if scene.stand_in else", "if False else", NAMED),
     Mutation("name: the camera is not in it", "rtrace/scenes/scene.py", "if camera is not None and camera != scene.camera:", "if False:", NAMED),

@@ -12,6 +12,12 @@ FORMATS = "tests/cachesim/test_node_formats.py"
 HARD = "tests/rtrace/checks/test_hard_cases.py"
 
 MUTATIONS = [
+    # Rays of a file
+    Mutation("ray file: every ray is a closest-hit ray", "rtrace/ray_file.py", "any_hit=kind)", "any_hit=False)", "tests/rtrace/test_ray_file.py -k early"),
+    Mutation("ray file: t_max is ignored", "rtrace/ray_file.py", 'ends["t_min"], ends["t_max"])', 'ends["t_min"])', "tests/rtrace/test_ray_file.py -k brute_force"),
+    Mutation("ray file: events of the two types in two blocks", "rtrace/ray_file.py", "joined[np.repeat(first[chosen] - (np.cumsum(own) - own), own) + np.arange(len(events))] = events", "joined[np.arange(len(events))] = events", "tests/rtrace/test_ray_file.py -k 'brute_force or replays'"),
+    Mutation("ray file: chunks as they are ready, one lost", "rtrace/ray_file.py", "islice(following, 1))", "islice(following, 0))", "tests/rtrace/test_ray_file.py -k 'brute_force or threads'"),
+    Mutation("ray file: the checksum leaves any_hit and t_max out", "rtrace/ray_file.py", "for values in (*rays, any_hit.view(np.uint8)):", "for values in rays[:1]:", "tests/rtrace/test_ray_file.py -k checksum"),
     Mutation("traversal: BVH box test without its margin", "rtrace/intersect.py",
              "return px, py, pz\n", "return 0.0, 0.0, 0.0\n", TRAVERSE),
     Mutation("traversal: the inverse of a zero is infinite", "rtrace/intersect.py",
@@ -96,7 +102,7 @@ MUTATIONS = [
              "            self.pointer[slot] = entry\n            self.left[slot] -= machine.tree.n_lines[machine.stack[slot, entry]] == 0\n", PREFETCH),
     Mutation("formats: after a read without a push the child is popped", "cachesim/prefetch.py", "parent[node] == last_node)", "parent[node] == -2)", PREFETCH),
     Mutation("formats: a derived stream has leaves", "cachesim/prefetch.py", "if boxes != CHILD_BOXES or n_lines[node] > 0:", "if True:", PREFETCH),
-    Mutation("formats: leaves are exported", "traces/din.py", "+ [LEAF] * (not reads_leaves)", "", f"{FORMATS} tests/traces/test_node_formats.py"),
+    Mutation("formats: leaves are exported", "traces/din.py", "+ [LEAF] * (not run.footer.tree.node_format.reads_leaves)", "", f"{FORMATS} tests/traces/test_node_formats.py"),
     Mutation("formats: leaves of 64-byte nodes may be requested", "traces/validation.py", "*((PREFETCH,) if node_format.reads_leaves else ())", "PREFETCH", "tests/traces/test_node_formats.py"),
     Mutation("formats: every run has the newest version", "traces/footer.py", '"format_version": self.tree.node_format.version', '"format_version": FORMAT_VERSION', "tests/traces/test_footer.py"),
     Mutation("formats: a run of version 1 may have any nodes", "traces/footer.py", "if each.version <= version]", "if each.version]", "tests/traces/test_footer.py"),

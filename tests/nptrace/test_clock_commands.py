@@ -153,6 +153,26 @@ def test_a_map_goes_on_where_it_stopped(folder, monkeypatch):
     assert said == f"Error: {part} is no part of a map: it cannot be read; delete it, and its run is timed again"
 
 
+def test_a_map_from_part_of_the_rays(folder):
+    """Its rows are those of the map, with intervals that hold most of its speed-ups, and without what a part does not tell."""
+    larger = [*MAP[:3], "--pixels", "160x160", "--threads", "1"]
+    rows, parts = rows_of(cli.nptrace, *larger), rows_of(cli.nptrace, *larger, "--part", "4")
+    known = [name for name in rows[0] if parts[0][name] is not None]
+    assert [name for name in rows[0] if name not in known] == [
+        "cycles", "cycles_without", "demand_reads", "requests", "filled", "bytes_from_memory", "traffic_ratio", "accuracy",
+        "demand_miss_rate", "spent_port",
+    ]  # fmt: skip
+    held = 0
+    for row, part in zip(rows, parts, strict=True):
+        assert (row["parts"], row["speed_up_half_width"], part["parts"]) == (1, None, 4)
+        for name in set(known) - {"parts", "speed_up", "speed_up_half_width", "cycles_per_ray_without"}:
+            assert row[name] == part[name]
+        held += abs(row["speed_up"] - part["speed_up"]) <= part["speed_up_half_width"] < 0.2
+    assert held >= 0.9 * len(rows)
+    said = run(cli.nptrace, *larger, "--part", "4").stdout
+    assert "from one in 4 of the 128 pieces of the rays: a speed-up is within its half-width" in said.replace("\n", " ")
+
+
 @pytest.mark.parametrize("command", [(cli.npcache, "compare", *RUN), (cli.nptrace, *MAP)])
 def test_a_missing_matplotlib_is_known_before_any_work(folder, monkeypatch, command):
     def absent(name, *args):

@@ -29,8 +29,21 @@ COMMANDS = {
     "map": "nptrace map ball.obj --quick --pixels 16x16 --out map",
     "table1": "npcache table1",
     "compile": "nptrace compile",
+    "run": "nptrace run study.toml",
     "estimate": "npcache estimate ball.obj --pixels 32x32 --size 1K",
 }
+
+
+STUDY = """
+[render]
+scenes = "ball.obj"
+pixels = "16x16"
+[replay]
+size = "1K"
+[sweep]
+size = "1K"
+[time]
+"""
 
 
 @pytest.fixture
@@ -39,6 +52,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     inputs(tmp_path)
     (tmp_path / "empty.din").write_text("b 1000\nb 1020\n")
+    (tmp_path / "study.toml").write_text(STUDY)
     rows = [hard_cases.Row("case", "kdtree", 9, 0, 0, 0, 0.5, bound, 0, 1) for bound in (4.0, math.inf)]
     monkeypatch.setattr(precompile, "compile_all", lambda watch: 3)
     monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads: rows)

@@ -54,9 +54,10 @@ WRITERS = {
     "sweep": (cli.npcache, SWEEP, b"run,path,scene"),
     "plot": (cli.npcache, [*SWEEP[:-1], "--plot"], b"\x89PNG"),
     "table1": (cli.npcache, ["table1", "--format", "csv", "-o"], b"run,path,scene"),
+    "runs plotted": (cli.npcache, ["plot", "traces/one-bvh", "-o"], b"\x89PNG"),
     "view": (cli.nptrace, ["view", "traces/one-bvh", "-o"], b"\x89PNG"),
 }
-ENDING = {"plot": ".png", "sweep": ".csv", "view": ".png"}
+ENDING = {"plot": ".png", "sweep": ".csv", "runs plotted": ".png", "view": ".png"}
 
 
 @pytest.fixture(params=WRITERS)

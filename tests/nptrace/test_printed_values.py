@@ -248,9 +248,8 @@ def test_a_plot_draws_the_rates(traces, tmp_path, monkeypatch):
     """Over the sizes, for every number of ways: solid with prefetching, dashed without."""
     axes = pytest.importorskip("matplotlib.axes").Axes
     drawn, real = [], axes.plot
-    monkeypatch.setattr(
-        axes, "plot", lambda self, x, y, style, **o: drawn.append((x, y, style)) or real(self, x, y, style, **o)
-    )
+    spy = lambda self, x, y, **o: drawn.append((x, y, o["linestyle"])) or real(self, x, y, **o)
+    monkeypatch.setattr(axes, "plot", spy)
     run, sizes = traces / "bunny-bvh", (512, 1024, 2048)
     call(cli.npcache, "sweep", run, "--size", "512..2K", "--ways", "1,2,full", "--plot", tmp_path / "x.svg")
     wanted = []

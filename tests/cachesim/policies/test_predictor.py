@@ -5,12 +5,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cachesim.policies.predictor import folded, keys_of
+from cachesim.clock.parameters import PRESETS
+from cachesim.clock.stretches import Stretches
+from cachesim.clock.timing import time_run
+from cachesim.config import CacheConfig
+from cachesim.policies.predictor import Predictor, folded, keys_of, learn, look_up
 from cachesim.prefetch import parse_prefetch
+from cachesim.source import RunSource
 from nptrace_base.errors import NptraceError
+from rtrace.render import Shooting, render
+from rtrace.scenes.stand_ins import stand_in
+from rtrace.trees.tree_cache import build_tree
 from tests.reference.clock_cases import cases, check_account, config_of, configs, fast_account, machines, slow_account
 from tests.reference.policies import SlowPredictor, slow_key
-from traces.rays import TracedRays
+from traces.rays import TracedRays, traced_rays
+from traces.reader import open_run
 
 options = st.fixed_dictionaries({
     "entries": st.sampled_from((1, 2, 4, 8)), "ways": st.sampled_from((1, 2, 4)), "origin": st.integers(0, 2),
@@ -25,6 +34,23 @@ def test_every_number_is_that_of_the_model(case, numbers, config, n_slots, optio
     model = SlowPredictor(case.lines, case.trace.parent, case.traced, **options)
     assert fast == slow_account(case, numbers, config_of(config), n_slots, model)
     check_account(fast, n_slots)
+
+
+def test_the_key_used_least_recently_is_replaced():
+    """One set of two ways, and three keys: looking a key up counts as a use, and so does learning its node again."""
+    zeros, ray = np.zeros(1, np.int64), [np.int64(i) for i in range(3)]
+    unit = Predictor(
+        np.array([10, 11, 12]), np.zeros(3, np.int64), np.ones(3, bool), np.full((1, 2), -1), np.zeros((1, 2), np.int64),
+        zeros.reshape(1, 1), zeros, zeros, zeros, zeros, 3,
+    )  # fmt: skip
+    learn(unit, ray[0], np.int64(5))
+    learn(unit, ray[1], np.int64(6))
+    assert look_up(unit, ray[0]) == 5
+    learn(unit, ray[2], np.int64(7))
+    assert (look_up(unit, ray[1]), look_up(unit, ray[0]), look_up(unit, ray[2])) == (-1, 5, 7)
+    learn(unit, ray[0], np.int64(8))
+    learn(unit, ray[1], np.int64(6))
+    assert (look_up(unit, ray[2]), look_up(unit, ray[0]), look_up(unit, ray[1])) == (-1, 8, 6)
 
 
 @given(st.integers(0, 1 << 20), st.integers(0, 40), st.integers(0, 10), st.integers(0, 8))
@@ -52,3 +78,16 @@ def test_a_key_by_hand():
 def test_bad_options_are_refused(options):
     with pytest.raises(NptraceError, match="write predictor"):
         parse_prefetch(f"predictor:{options}")
+
+
+@pytest.mark.parametrize("kind", ["kdtree", "bvh64"])
+def test_rays_that_read_nothing_have_no_key(kind, tmp_path):
+    """The clock numbers the rays that read nodes, and so do the keys."""
+    scene = stand_in("blob", detail=0.2)
+    render(scene, build_tree(scene.triangles, kind), Shooting(32, 32), tmp_path / "run", threads=1)
+    run = open_run(tmp_path / "run")
+    n = Stretches(RunSource(run)).n_rays
+    assert len(traced_rays(run).is_hit) == n and (n < run.footer.n_rays) == (kind == "kdtree")
+    clock = PRESETS["paper"].clock.with_numbers(rays=4)
+    (timing,) = time_run(run, [CacheConfig(1024, 2, 64)], [clock], ["predictor"], threads=1)
+    assert timing.lines["timely"] > 0

@@ -1,0 +1,61 @@
+"""nptrace run: a study in one file -> its runs, and one table of all its rows."""
+
+import shlex
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nptrace.groups import Command
+from nptrace.options import threads_option
+from nptrace.output import Output, results_options
+from nptrace.progress import done
+
+if TYPE_CHECKING:
+    from nptrace_base.tables import Table
+
+
+@click.command(cls=Command)
+@click.argument("study", type=click.Path(path_type=Path))
+@threads_option()
+@results_options(default="parquet")
+def run(study: Path, threads: int, output: Output) -> None:
+    """Do a study: scenes, cameras, orders, trees, caches, policies and layouts from one file, to one table of all rows.
+
+    The same command goes on where it stopped: it keeps the runs and the rows that are finished. The rows go to STUDY.parquet,
+    in this folder, unless you give -o or --format. docs/study.toml is a study with every key.
+
+    \b
+    nptrace run study.toml
+    nptrace run study.toml -o rows.csv
+    """
+    from nptrace.study import read_study, run_study
+    from traces.format import printable
+
+    began = time.perf_counter()
+    if not output.is_asked_for:
+        output = replace(output, path=Path(f"{study.stem}.parquet"))
+    asked = read_study(study)
+    rows = run_study(asked, threads=threads)
+    output.write(rows, lambda: ([table_of(rows)], []))
+    n_runs = len({row["path"] for row in rows})
+    target = "" if output.path is None or str(output.path) == "-" else f"{printable(str(output.path))}: "
+    out = shlex.quote(printable(str(asked.out)))
+    done(f"{target}{len(rows)} rows of {n_runs} run{'s' * (n_runs != 1)}", began, f"npcache compare --traces {out}")
+
+
+def table_of(rows: list[dict[str, Any]]) -> "Table":
+    """Return a table with a line for each row: what it is of, and the rates that it has."""
+    from nptrace_base.tables import Table, number, percent
+
+    header = ["run", "section", "prefetch", "layout", "bytes", "ways", "demand\nmiss rate %", "traffic\nratio", "speed-up"]
+    lines = [
+        [
+            row["run"], row["section"], row["prefetch"], row["layout"], number(row["size_bytes"]), number(row["ways"]),
+            percent(row.get("demand_miss_rate")), number(row.get("traffic_ratio"), 3), number(row.get("speed_up"), 3),
+        ]
+        for row in rows
+    ]  # fmt: skip
+    return Table("", header, lines, n_left=4, extra=("traffic\nratio", "layout"))

@@ -1,0 +1,327 @@
+"""A study in one file: scenes, pictures, trees, caches, machines and policies in TOML -> runs, and rows of all of them.
+
+What is finished is kept: a run that is on disk is not traced again, and the rows of each run, section, layout and policy are
+in a file of their own beside the runs. So the same study goes on where it was stopped.
+"""
+
+import hashlib
+import inspect
+import json
+import re
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nptrace import api
+from nptrace.api import OptionError, listed
+from nptrace.progress import Progress
+from nptrace.scene_options import load_scenes, parse_tree, tree_params
+from nptrace_base.errors import NptraceError
+from traces.reader import Run, open_run
+
+if TYPE_CHECKING:
+    from rtrace.render import Shooting
+    from rtrace.scenes.scene import Scene
+    from rtrace.trees.tree import Tree
+
+Record = dict[str, Any]
+
+#: The keys outside the tables, and what they are when left out.
+TOP = {"out": "traces"}
+#: The tables of stage 2, and the keys of their functions that a study has no use for.
+SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), ("sources", "traces", "threads", "by", "numbers")
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study, checked: the values of every table, with the defaults of the functions of ``nptrace.api``."""
+
+    path: Path
+    out: Path
+    render: Mapping[str, Any]
+    sections: Mapping[str, Mapping[str, Any]]
+
+    @property
+    def pictures(self) -> "list[tuple[Shooting, dict[str, dict[str, Any]]]]":
+        """Every combination of pixels, order, batch, --kd and --bvh: rays, and the parameters of each tree."""
+        from rtrace.camera import parse_size
+        from rtrace.render import Shooting
+
+        of = self.render
+        trees, nodes = listed("accel", of["accel"], parse_tree), listed("bvh_nodes", of["bvh_nodes"], str)
+        found: dict[str, tuple[Shooting, dict[str, dict[str, Any]]]] = {}
+        names = ("pixels", "order", "batch", "kd", "bvh")
+        for pixels, order, batch, kd, bvh in product(*(_several(of[name]) for name in names)):
+            shooting = Shooting(*parse_size(pixels), order, batch, of["seed"] if order == "random" else 0)
+            for kind, given in tree_params(trees, kd, bvh, nodes).items():
+                found.setdefault(repr((shooting, kind, given)), (shooting, {kind: given}))
+        return list(found.values())
+
+
+def read_study(path: Path) -> Study:
+    """Read and check a study; NptraceError names the file and the line of what is wrong."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = tomllib.loads(text)
+    except OSError as e:
+        raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML (docs/study.toml is one)") from e
+    except ValueError as e:  # not TOML, or not UTF-8
+        raise NptraceError(f"{path} is no TOML: {e}; see https://toml.io, or docs/study.toml") from e
+    where = _Lines(path, text)
+    tables = {name: value for name, value in values.items() if isinstance(value, dict)}
+    plain = {name: value for name, value in values.items() if name not in tables}
+    where.check_names("", values, [*TOP, "render", *SECTIONS])
+    if not isinstance(plain.get("out", ""), str):
+        raise where.error("", "out", f'out is {plain["out"]!r}, and no folder; write e.g. out = "traces"')
+    for name in ("render", *SECTIONS):
+        if name in plain:
+            raise where.error("", name, f"{name} is a table; write [{name}] and its keys below it")
+    if "render" not in tables:
+        raise NptraceError(f'{path} has no table [render], which names the scenes; write [render] and scenes = ["sponza"]')
+    if not set(tables) & {*SECTIONS}:
+        raise NptraceError(f"{path} asks for no rows; add one of the tables {', '.join(f'[{name}]' for name in SECTIONS)}")
+    render = _checked(where, "render", tables["render"], {**_defaults("render"), "scenes": ()})
+    sections = {
+        name: _checked(where, name, tables[name], {**_defaults(name), **(dict.fromkeys(_numbers()) if name == "time" else {})})
+        for name in SECTIONS if name in tables
+    }  # fmt: skip
+    study = Study(path, Path(plain.get("out", TOP["out"])), render, sections)
+    _try(where, study)
+    return study
+
+
+def _numbers() -> tuple[str, ...]:
+    from cachesim.clock.parameters import NUMBERS
+
+    return tuple(NUMBERS)
+
+
+def _defaults(function: str) -> dict[str, Any]:
+    """Return the options of a function of ``nptrace.api``, and their defaults."""
+    left_out = (*NOT_OF_A_STUDY, "out", "name", "overwrite", "rays") if function == "render" else NOT_OF_A_STUDY
+    parameters = inspect.signature(getattr(api, function)).parameters.values()
+    return {each.name: each.default for each in parameters if each.name not in left_out}
+
+
+def _checked(where: "_Lines", table: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a table; each is one text, number or truth value as its default is, or a list of them."""
+    where.check_names(table, given, defaults)
+    for name, value in given.items():
+        usual = defaults[name]
+        items = value if isinstance(value, list) else [value]
+        if not items and name != "camera":
+            raise where.error(table, name, f"{table}.{name} is an empty list; name something, or leave the key out")
+        for item in items:
+            if isinstance(usual, bool) != isinstance(item, bool) or not isinstance(item, (str, int)):
+                kind = "true or false" if isinstance(usual, bool) else "a text or a whole number, or a list of them"
+                raise where.error(table, name, f"{table}.{name} is {item!r}, and not {kind}")
+        single = isinstance(usual, bool) or name in ("seed", "light", "machine")
+        if single and isinstance(value, list):
+            raise where.error(table, name, f"{table}.{name} is one value, and no list; write {table}.{name} = {items[0]!r}")
+        if name in ("seed", "batch") and not all(isinstance(item, int) and item >= 0 for item in items):
+            raise where.error(table, name, f"{table}.{name} is {value!r}, and no whole number from 0; write e.g. {name} = 1")
+        if name in ("scenes", "camera", "light", "machine") and not all(isinstance(item, str) for item in items):
+            raise where.error(table, name, f"{table}.{name} is {value!r}, and no text; put it in quotes")
+    return {**defaults, **given}
+
+
+def _try(where: "_Lines", study: Study) -> None:
+    """Read every option, so that nothing is wrong when the work begins."""
+    from rtrace.camera import parse_camera, parse_point, parse_size
+    from rtrace.render import Shooting
+
+    of = study.render
+    if not of["scenes"]:
+        raise where.error("render", "", '[render] names no scene; write e.g. scenes = ["sponza"]')
+    tries: dict[str, Callable[[Any], object]] = {
+        "pixels": parse_size, "camera": parse_camera, "order": lambda order: Shooting(order=order),
+        "batch": lambda batch: Shooting(batch=batch), "kd": lambda text: tree_params([], text, "sweep", ["32"]),
+        "bvh": lambda text: tree_params([], "", text, ["32"]), "light": parse_point,
+        "accel": lambda text: listed("accel", text, parse_tree),
+        "bvh_nodes": lambda text: tree_params([], "", "sweep", listed("bvh_nodes", text, str)),
+    }  # fmt: skip
+    for name, attempt in tries.items():
+        for value in _several(of[name]):
+            with where.of("render", name):
+                attempt(value)
+    for name in study.sections:
+        with where.of(name, ""):
+            _plan(name, study.sections[name])
+
+
+def _plan(name: str, values: Mapping[str, Any]) -> Any:
+    """Return the caches or machines, the prefetch policies and the layouts of a section."""
+    given = {key: value for key, value in values.items() if key != "three_c" and value is not None}
+    plan: Callable[..., Any] = getattr(api, f"{name}_plan")
+    return plan(**given)
+
+
+def _several(value: Any) -> list[Any]:
+    return [] if value is None else list(value) if isinstance(value, (list, tuple)) else [value]
+
+
+class _Lines:
+    """The lines of a study's keys, for its messages."""
+
+    def __init__(self, path: Path, text: str) -> None:
+        self._path, self._lines = path, text.splitlines()
+
+    def of(self, table: str, name: str) -> "_Blame":
+        """Return a context in which an error is of this key, or of the option that it names."""
+        return _Blame(self, table, name)
+
+    def error(self, table: str, name: str, sentence: str) -> NptraceError:
+        """Return the error of a key: with its line, or that of its table."""
+        return NptraceError(f"{self._path}, line {self._line(table, name)}: {sentence}")
+
+    def check_names(self, table: str, given: Mapping[str, Any], known: Any) -> None:
+        """Raise NptraceError for a key that a table does not have."""
+        for name in given:
+            if name not in known:
+                of = f"[{table}] has" if table else "a study has"
+                raise self.error(table, name, f"{of} no {name!r}; its keys are {', '.join(known)}")
+
+    def _line(self, table: str, name: str) -> int:
+        current, of_table = "", 1
+        for number, line in enumerate(self._lines, 1):
+            if header := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
+                current = header[1]
+                of_table = number if current in (table, name) else of_table
+                if current == name and not table:
+                    return number
+            elif key := re.match(r"\s*[\"']?([\w.-]+)[\"']?\s*=", line):
+                if (current == table and key[1] == name) or (not current and key[1] == f"{table}.{name}"):
+                    return number
+                if not current and table and key[1].partition(".")[0] == table:
+                    of_table = number
+        return of_table
+
+
+class _Blame:
+    def __init__(self, lines: _Lines, table: str, name: str) -> None:
+        self._lines, self._table, self._name = lines, table, name
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
+        if isinstance(error, NptraceError):
+            name = error.name if isinstance(error, OptionError) else self._name
+            raise self._lines.error(self._table, name, str(error)) from error
+
+
+def run_study(study: Study, *, threads: int | None = None) -> list[Record]:
+    """Make the runs that are not there, and the rows that are not there; return all rows, each with its ``section``."""
+    of = study.render
+    scenes = load_scenes(_several(of["scenes"]), of["strict"], of["offline"], _several(of["camera"]), of["light"])
+    jobs = [(scene, shooting, params) for scene in scenes for shooting, params in study.pictures]
+    plans = {name: _plan(name, values) for name, values in study.sections.items()}
+    n_parts = sum(len(list(_parts(name, plan))) for name, plan in plans.items())
+    rows: list[Record] = []
+    with Progress(len(jobs) * (1 + n_parts)) as bar:
+        for scene, shooting, params in jobs:
+            run = _run_of(study, scene, shooting, params, bar, threads)
+            for name, plan in plans.items():
+                for layout, prefetches in _parts(name, plan):
+                    part = _Part(study, run, name, plan[0], layout, prefetches)
+                    rows += part.rows(bar, threads)
+    return rows
+
+
+def _parts(name: str, plan: Any) -> Iterator[tuple[str, list[str]]]:
+    """Yield the layout and the prefetch policies of the parts that are kept one by one; the clock times policies together."""
+    _, prefetches, layouts = plan
+    for layout in layouts:
+        yield from [(layout, prefetches)] if name == "time" else ((layout, [each]) for each in prefetches)
+
+
+def _run_of(
+    study: Study, scene: "Scene", shooting: "Shooting", params: dict[str, dict[str, Any]], bar: Progress, threads: int | None
+) -> Run:
+    """Return a run, from disk if it is there; another run of its name is an error, as in nptrace render."""
+    from nptrace.studies import rendered
+    from rtrace.run_names import run_name
+    from rtrace.trees.tree_cache import cached_tree
+
+    [(kind, given)] = params.items()
+    path = study.out / run_name(scene, kind, given, shooting)
+    if path.is_dir():
+        tree = cached_tree(scene, kind, **given)
+        if (kept := _kept(path, scene, tree, shooting)) is not None:
+            bar.job(kept.name)
+            return kept
+    rendered([scene], params, shooting, study.out, bar, threads=threads)
+    return open_run(path)
+
+
+def _kept(path: Path, scene: "Scene", tree: "Tree", shooting: "Shooting") -> Run | None:
+    """Return the run at ``path`` if it is whole and of this content."""
+    from rtrace.render import footer_of
+
+    try:
+        run = open_run(path)
+    except NptraceError:
+        return None
+    return None if run.footer.differences(footer_of(scene, tree, shooting, "")) else run
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Some rows of one run, which are kept in a file once they are complete."""
+
+    study: Study
+    run: Run
+    name: str
+    of: Any  # caches, or machines
+    layout: str
+    prefetches: Sequence[str]
+
+    def rows(self, bar: Progress, threads: int | None) -> list[Record]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        from nptrace_base.atomic import whole_file
+        from nptrace_base.records import write_parquet
+        from traces.identity import COLUMNS
+
+        three_c = bool(self.study.sections[self.name].get("three_c"))
+        asked = [self.run.footer.to_json().decode(), str(self.run.path), self.name, repr(self.of), self.layout,
+                 [*self.prefetches], three_c]  # fmt: skip
+        path = self.study.out / f"study-{hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:16]}.parquet"
+        if path.exists():
+            bar.job(self.run.name)
+            try:
+                found = pq.read_table(path).to_pylist()
+            except (pa.ArrowException, OSError) as e:
+                raise NptraceError(f"{path} is no part of a study: it cannot be read; delete it, and it is made again") from e
+            return found
+        made = [{**each.run_columns, "section": self.name, **each.others} for each in self._made(bar, threads, three_c)]
+        with whole_file(path) as temporary:
+            write_parquet(made, temporary, COLUMNS)
+        return made
+
+    def _made(self, bar: Progress, threads: int | None, three_c: bool) -> Iterator["_Row"]:
+        from nptrace.studies import replayed, swept, timed
+
+        runs, layouts = [self.run], [self.layout]
+        results: Sequence[Any]
+        if self.name == "replay":
+            results = replayed(runs, self.of, self.prefetches, layouts, bar, three_c=three_c, threads=threads)
+        elif self.name == "sweep":
+            results = swept(runs, self.of, self.prefetches, layouts, bar, threads=threads)
+        else:
+            results = timed(runs, self.of.configs, self.of.clocks, self.prefetches, layouts, bar, threads=threads)
+        return (_Row(each.identity.to_dict(), each.to_dict()) for each in results)
+
+
+@dataclass(frozen=True)
+class _Row:
+    run_columns: Record
+    values: Record
+
+    @property
+    def others(self) -> Record:
+        return {name: value for name, value in self.values.items() if name not in self.run_columns}
