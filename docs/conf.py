@@ -43,6 +43,12 @@ def add_what_is_made(app: Any, page: str, source: list[str]) -> None:
         source[0] += reference.public_names()
 
 
+def made_pages(*unused: Any) -> list[str]:
+    """Return the pages that are read each time, for what they show changes without them."""
+    return [root_doc, "docs/commands", "docs/api"]
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("source-read", add_what_is_made)
+    app.connect("env-get-outdated", made_pages)

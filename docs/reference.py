@@ -63,17 +63,31 @@ def _text(text: str) -> str:
 
 def public_names() -> str:
     """Return a section for each package with its public names, which Sphinx fills in from their docstrings."""
-    return "\n" + "\n".join(line for package in PACKAGES for line in _of_package(package)) + "\n"
+    homes: dict[int, str] = {}  # by object, the name under which it is described: nptrace's come from the other packages
+    for package in (*PACKAGES[1:], PACKAGES[0]):
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            homes.setdefault(id(getattr(module, name)), f"{package}.{name}")
+    return "\n" + "\n".join(line for package in PACKAGES for line in _of_package(package, homes)) + "\n"
 
 
-def _of_package(package: str) -> Iterator[str]:
+def _of_package(package: str, homes: dict[int, str]) -> Iterator[str]:
     module = importlib.import_module(package)
     yield f"\n## {package}\n\n{_text((module.__doc__ or '').splitlines()[0])}\n"
     for name in module.__all__:
-        thing = getattr(module, name)
-        if inspect.isclass(thing):
-            yield f"```{{eval-rst}}\n.. autoclass:: {package}.{name}\n   :members:\n```\n"
-        elif inspect.isroutine(thing):
-            yield f"```{{eval-rst}}\n.. autofunction:: {package}.{name}\n```\n"
-        else:
+        thing, path = getattr(module, name), f"{package}.{name}"
+        if not (inspect.isclass(thing) or inspect.isroutine(thing)):
             yield f"- `{name}`: {thing!r}"
+        elif homes[id(thing)] != path:
+            yield f"- `{name}`: `{homes[id(thing)]}`, below"
+        elif inspect.isclass(thing):
+            # Of members those that can be called or are computed: the docstring of the class describes the others.
+            members = [each for each, member in vars(thing).items() if not each.startswith("_") and _is_described(member)]
+            shown = f"\n   :members: {', '.join(members)}" if members else ""
+            yield f"```{{eval-rst}}\n.. autoclass:: {path}{shown}\n```\n"
+        else:
+            yield f"```{{eval-rst}}\n.. autofunction:: {path}\n```\n"
+
+
+def _is_described(member: object) -> bool:
+    return isinstance(member, property | classmethod | staticmethod) or inspect.isfunction(member)
