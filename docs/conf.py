@@ -17,6 +17,7 @@ exclude_patterns = [".venv*", "build", "tests", "traces/*/**"]
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_heading_anchors = 4  # links to headings as on GitHub
 autodoc_typehints = "none"  # they are in the docstrings
+smartquotes = False  # two hyphens begin an option
 html_theme = "furo"  # fonts of the system: the pages need no network
 html_copy_source = False
 html_additional_pages = {"index": "index.html"}  # leads to README.html

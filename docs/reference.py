@@ -45,7 +45,7 @@ def _of_command(command: click.Command, context: click.Context) -> Iterator[str]
         yield ""
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
-        if record:
+        if record and record[1]:
             yield f"- {_code(record[0])}: {_text(record[1])}"
     for title, rows in getattr(command, "_lists", {}).items():
         yield f"\n**{title}**\n"
