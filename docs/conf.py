@@ -49,7 +49,14 @@ def made_pages(*unused: Any) -> list[str]:
     return [root_doc, "docs/commands", "docs/api"]
 
 
+def colons_of_properties(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Keep napoleon from taking what stands before a colon for the type."""
+    if what == "property" and lines:
+        lines[0] = lines[0].replace(": ", " – ")
+
+
 def setup(app: Any) -> None:
     """Called by Sphinx."""
     app.connect("source-read", add_what_is_made)
+    app.connect("autodoc-process-docstring", colons_of_properties, priority=400)  # before napoleon
     app.connect("env-get-outdated", made_pages)

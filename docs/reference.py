@@ -28,16 +28,16 @@ def overview() -> Iterator[tuple[str, str]]:
 
 
 def _of_program(program: click.Group) -> Iterator[str]:
-    context = click.Context(program, info_name=program.name)
+    context = click.Context(program, info_name=program.name, **program.context_settings)
     for name in program.list_commands(context):
         command = program.get_command(context, name)
         assert command is not None
-        yield from _of_command(command, click.Context(command, info_name=f"{program.name} {name}"))
+        yield from _of_command(command, click.Context(command, info_name=name, parent=context))
 
 
 def _of_command(command: click.Command, context: click.Context) -> Iterator[str]:
-    yield f"\n## {context.info_name}\n"
-    yield f"    {context.info_name} {' '.join(command.collect_usage_pieces(context))}\n"
+    yield f"\n## {context.command_path}\n"
+    yield f"    {context.command_path} {' '.join(command.collect_usage_pieces(context))}\n"
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         is_verbatim = paragraph.startswith("\b")
         lines = paragraph.replace("\b", "").strip("\n").splitlines()
