@@ -28,16 +28,16 @@ def overview() -> Iterator[tuple[str, str]]:
 
 
 def _of_program(program: click.Group) -> Iterator[str]:
-    context = click.Context(program, info_name=program.name)
+    context = click.Context(program, info_name=program.name, **program.context_settings)
     for name in program.list_commands(context):
         command = program.get_command(context, name)
         assert command is not None
-        yield from _of_command(command, click.Context(command, info_name=f"{program.name} {name}"))
+        yield from _of_command(command, click.Context(command, info_name=name, parent=context))
 
 
 def _of_command(command: click.Command, context: click.Context) -> Iterator[str]:
-    yield f"\n## {context.info_name}\n"
-    yield f"    {context.info_name} {' '.join(command.collect_usage_pieces(context))}\n"
+    yield f"\n## {context.command_path}\n"
+    yield f"    {context.command_path} {' '.join(command.collect_usage_pieces(context))}\n"
     for paragraph in inspect.cleandoc(command.help or "").split("\n\n"):
         is_verbatim = paragraph.startswith("\b")
         lines = paragraph.replace("\b", "").strip("\n").splitlines()
@@ -45,7 +45,7 @@ def _of_command(command: click.Command, context: click.Context) -> Iterator[str]
         yield ""
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
-        if record:
+        if record and record[1]:
             yield f"- {_code(record[0])}: {_text(record[1])}"
     for title, rows in getattr(command, "_lists", {}).items():
         yield f"\n**{title}**\n"
@@ -63,17 +63,31 @@ def _text(text: str) -> str:
 
 def public_names() -> str:
     """Return a section for each package with its public names, which Sphinx fills in from their docstrings."""
-    return "\n" + "\n".join(line for package in PACKAGES for line in _of_package(package)) + "\n"
+    homes: dict[int, str] = {}  # by object, the name under which it is described: nptrace's come from the other packages
+    for package in (*PACKAGES[1:], PACKAGES[0]):
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            homes.setdefault(id(getattr(module, name)), f"{package}.{name}")
+    return "\n" + "\n".join(line for package in PACKAGES for line in _of_package(package, homes)) + "\n"
 
 
-def _of_package(package: str) -> Iterator[str]:
+def _of_package(package: str, homes: dict[int, str]) -> Iterator[str]:
     module = importlib.import_module(package)
     yield f"\n## {package}\n\n{_text((module.__doc__ or '').splitlines()[0])}\n"
     for name in module.__all__:
-        thing = getattr(module, name)
-        if inspect.isclass(thing):
-            yield f"```{{eval-rst}}\n.. autoclass:: {package}.{name}\n   :members:\n```\n"
-        elif inspect.isroutine(thing):
-            yield f"```{{eval-rst}}\n.. autofunction:: {package}.{name}\n```\n"
-        else:
+        thing, path = getattr(module, name), f"{package}.{name}"
+        if not (inspect.isclass(thing) or inspect.isroutine(thing)):
             yield f"- `{name}`: {thing!r}"
+        elif homes[id(thing)] != path:
+            yield f"- `{name}`: `{homes[id(thing)]}`, below"
+        elif inspect.isclass(thing):
+            # Of members those that can be called or are computed: the docstring of the class describes the others.
+            members = [each for each, member in vars(thing).items() if not each.startswith("_") and _is_described(member)]
+            shown = f"\n   :members: {', '.join(members)}" if members else ""
+            yield f"```{{eval-rst}}\n.. autoclass:: {path}{shown}\n```\n"
+        else:
+            yield f"```{{eval-rst}}\n.. autofunction:: {path}\n```\n"
+
+
+def _is_described(member: object) -> bool:
+    return isinstance(member, property | classmethod | staticmethod) or inspect.isfunction(member)

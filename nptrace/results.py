@@ -69,7 +69,7 @@ class Results:
 
     @property
     def notes(self) -> list[str]:
-        """The sentences below the tables: what the columns are, and the verdict."""
+        """The sentences below the tables, which explain the columns, and the verdict."""
         return list(self._make_tables()[1])
 
     def __repr__(self) -> str:

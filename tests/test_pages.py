@@ -139,7 +139,7 @@ def test_the_reference_has_every_public_name(site):
     for package in site[1].PACKAGES:
         module = importlib.import_module(package)
         for name in module.__all__:
-            assert re.search(rf"auto\w+:: {package}\.{name}$|^- `{name}`", text, re.MULTILINE)
+            assert re.search(rf"auto\w+:: {package}\.{name}$|^- `{name}`: ", text, re.MULTILINE)
             assert inspect.getdoc(getattr(module, name)) or name == "__version__", f"{package}.{name} has no docstring"
 
 

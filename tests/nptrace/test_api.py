@@ -2,7 +2,6 @@
 
 import inspect
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -217,11 +216,3 @@ def test_the_notebook_runs_and_is_short(folder):
     scope: dict = {}
     exec(compile(text, "notebook.py", "exec"), scope)
     assert len(scope["runs"]) == 4 and len(scope["replayed"]) == 4 * 2 * 5 * 2
-
-
-def test_the_page_about_python_runs(folder):
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "python.md").read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) >= 5
-    scope: dict = {}
-    for block in blocks:
-        exec(compile(block, "python.md", "exec"), scope)
