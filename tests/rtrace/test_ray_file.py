@@ -12,8 +12,8 @@ import cli
 import rtrace.ray_file as ray_file
 from nptrace_base.errors import NptraceError
 from rtrace.ray_file import read_rays
-from rtrace.scenes.shapes import icosphere
 from rtrace.rays import make_rays
+from rtrace.scenes.shapes import icosphere
 from rtrace.traverse import trace_all
 from tests.nptrace.test_nptrace import write_obj
 from traces.reader import open_run
