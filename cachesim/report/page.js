@@ -18,15 +18,15 @@
     return {
       background: "transparent", font: "system-ui, sans-serif", view: { stroke: grid }, title: { color: front },
       axis: { ...text, gridColor: grid, domainColor: soft, tickColor: soft, titleFontWeight: 500 },
-      legend: { ...text, orient: "bottom", columns: 4, labelLimit: 240, titleFontWeight: 500 },
+      legend: { ...text, orient: "bottom", columns: 4, labelLimit: 240, titleFontWeight: 500, symbolBaseStrokeColor: front },
       header: text, rule: { color: soft }, mark: { color: front },
     };
   };
   // Okabe and Ito's black is not seen on black.
-  const onDark = (spec) => (dark.matches ? JSON.parse(JSON.stringify(spec).replaceAll('"#000000"', '"#f0f0f0"').replaceAll('"#0072b2"', '"#3aa0e8"')) : spec);
+  const onDark = (spec) => (dark.matches ? JSON.parse(JSON.stringify(spec).replaceAll('"#000000"', '"#f0f0f0"')) : spec);
 
   async function draw(place) {
-    const { spec, rows: name, columns } = data.charts[place.dataset.chart];
+    const { spec, rows: name, columns, lines } = data.charts[place.dataset.chart];
     const values = rows[name].filter(isShown);
     const width = place.clientWidth;
     if (!width) return;
@@ -34,8 +34,9 @@
     const inner = made.spec || made;
     const wide = columns > 1 && width > 700 ? columns : 1;
     if (made.facet) made.columns = wide;
-    if (made.facet) inner.width = Math.max(160, Math.floor((width - 20) / wide - 75));
+    if (made.facet) inner.width = Math.max(160, Math.floor((width - 70 - 20 * (wide - 1)) / wide));
     else Object.assign(made, { width, autosize: { type: "fit-x", contains: "padding" } });
+    if (lines) made.height = Math.max(1, new Set(values.map((row) => row[lines])).size) * made.height.step;
     const config = colours();
     config.legend.columns = Math.max(1, Math.min(4, Math.floor(width / 220)));
     await vegaEmbed(place, { ...made, data: { values }, config }, { actions: false, renderer: "svg", tooltip: { theme: dark.matches ? "dark" : "light" } });

@@ -160,7 +160,10 @@ def table1_table(rows: Sequence[Row]) -> dict[str, Any]:
             cell = _number(row, key, form) | {"paper": _text(paper, form)}
             if ours is not None and paper:
                 apart = ours / paper - 1
-                cell |= {"shade": shade(apart), "title": f"ours / paper - 1 = {100 * apart:+.1f} %"}
+                cell |= {
+                    "shade": shade(apart),
+                    "title": f"diff {_text(ours - paper, form)}, {100 * apart:+.1f} % of the paper's",
+                }
             cells.append(cell)
         lines.append(_line(row, cells + [_number(row, key, form) for _, key, form in OURS]))
     return {"head": head, "n_left": 3, "lines": lines}

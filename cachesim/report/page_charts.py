@@ -31,8 +31,10 @@ def charts() -> list[dict[str, Any]]:
     return [_curves(), _account(), _levels(), _distances(), _knees(), _speed_ups()]
 
 
-def _chart(name: str, rows: str, title: str, alt: str, spec: dict[str, Any], n_across: int = 1) -> dict[str, Any]:
-    return {"name": name, "rows": rows, "title": title, "alt": alt, "columns": n_across, "spec": spec}
+def _chart(
+    name: str, rows: str, title: str, alt: str, spec: dict[str, Any], n_across: int = 1, lines: str = ""
+) -> dict[str, Any]:
+    return {"lines": lines, "name": name, "rows": rows, "title": title, "alt": alt, "columns": n_across, "spec": spec}
 
 
 def _curves() -> dict[str, Any]:
@@ -60,6 +62,7 @@ def _curves() -> dict[str, Any]:
                 "strokeDash": {
                     "field": "prefetching", "title": "prefetching",
                     "scale": {"domain": ["with", "without"], "range": [[1, 0], [5, 4]]},
+                    "legend": {"symbolType": "stroke", "symbolSize": 300},
                 },
                 "detail": [{"field": "layout"}, {"field": "prefetch"}, {"field": "line_bytes"}],
                 "tooltip": hover,
@@ -96,11 +99,17 @@ def _account() -> dict[str, Any]:
         },
     }  # fmt: skip
     alt = "Bars: the shares of the prefetch requests that were redundant, useful, useless, or still resident at the end."
-    return _chart("account", "replay", "What became of the prefetches", alt, spec)
+    return _chart("account", "replay", "What became of the prefetches", alt, spec, lines="case")
 
 
 def _levels() -> dict[str, Any]:
-    x = {"field": "level", "type": "quantitative", "title": "level of the node (root: 0)", "axis": {"tickMinStep": 1}}
+    x: dict[str, Any] = {
+        "field": "level",
+        "type": "quantitative",
+        "title": "level of the node (root: 0)",
+        "axis": {"tickMinStep": 1},
+    }
+    x["scale"] = {"domainMin": -0.5, "nice": False}
     hover = _hover(
         ("level", "level", "d"), ("demand_accesses", "demand accesses", ",d"), ("demand_misses", "demand misses", ",d"),
         ("demand_miss_rate", "demand miss rate", ".2%"),
@@ -123,7 +132,7 @@ def _levels() -> dict[str, Any]:
                 },
                 "color": {
                     "field": "what", "title": "demand accesses that",
-                    "scale": {"domain": ["misses", "hits"], "range": [COLOURS[0], COLOURS[4]]},
+                    "scale": {"domain": ["misses", "hits"], "range": [COLOURS[1], COLOURS[4]]},
                     "legend": {"labelExpr": "datum.value == 'misses' ? 'miss' : 'hit'"},
                 },
                 "order": {"field": "what", "sort": "descending"},
@@ -159,7 +168,7 @@ def _knees() -> dict[str, Any]:
     points = {
         "transform": [{"filter": "datum.is_knee"}],
         "mark": {"type": "point", "size": 70, "filled": True, "opacity": 1},
-        "encoding": {"x": x, "y": y, "color": _RUN, "tooltip": [{"value": "knee"}, *hover]},
+        "encoding": {"x": x, "y": y, "color": _RUN, "tooltip": hover},
     }
     line = {
         "mark": {"type": "line", "strokeWidth": 1.6}, "encoding": {"x": x, "y": y, "color": _RUN, "tooltip": hover}
@@ -181,7 +190,8 @@ def _speed_ups() -> dict[str, Any]:
                 "sort": {"field": "speed_up", "op": "mean", "order": "descending"}, "axis": {"grid": True, "labelLimit": 260},
             },
             "x": {
-                "field": "speed_up", "type": "quantitative", "title": "speed-up over no prefetching", "scale": {"zero": False}
+                "field": "speed_up", "type": "quantitative", "title": "speed-up over no prefetching",
+                "scale": {"zero": False, "padding": 10},
             },
             "color": _RUN,
             "tooltip": hover,
@@ -194,4 +204,4 @@ def _speed_ups() -> dict[str, Any]:
         "layer": [rule, dots],
     }
     alt = "Dots: the speed-up of each prefetch policy over none, a colour for each run; a line marks 1."
-    return _chart("speed-ups", "compare", "The clock: speed-ups of the prefetch policies", alt, spec)
+    return _chart("speed-ups", "compare", "The clock: speed-ups of the prefetch policies", alt, spec, lines="prefetch")
