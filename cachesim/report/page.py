@@ -6,6 +6,7 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -118,18 +119,19 @@ def check_page(path: Path) -> None:
 
 def page(report: Report) -> str:
     """Return the page."""
-    import vl_convert
     from jinja2 import Environment
 
     names = labels(report.runs)
-    made = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(_file("page.html"))
+    made = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True).from_string(
+        _file("page.html")
+    )
     tables = {name: table(rows, COLUMNS[name], names) for name, rows in report.results.items() if name in COLUMNS}
     if report.results.get("table1"):
         tables["table1"] = table1_table(report.results["table1"])
     return made.render(
         report=report, runs=_runs(report, names), tables=tables, charts=_charts(report), data=_script(_data(report, names)),
         style=_file("page.css"), script=_file("page.js"), trees=_trees(report.runs), scenes=_scenes(report.runs),
-        library=vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;"),
+        library=_library(),
     )  # fmt: skip
 
 
@@ -301,6 +303,14 @@ def _picture(picture: np.ndarray) -> str:
 def _script(data: Any) -> str:
     """Return JSON that can stand in a script element: no name in it can end the element."""
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+@cache
+def _library() -> str:
+    """Return the script of Vega-Lite and Vega, which takes seconds to make."""
+    import vl_convert
+
+    return vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;")
 
 
 def _file(name: str) -> str:
