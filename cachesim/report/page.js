@@ -29,7 +29,10 @@
     const { spec, rows: name, columns, lines } = data.charts[place.dataset.chart];
     const values = rows[name].filter(isShown);
     const width = place.clientWidth;
-    if (!width) return;
+    if (!width || !values.length) {
+      place.replaceChildren();
+      return;
+    }
     const made = JSON.parse(JSON.stringify(onDark(spec)));
     const inner = made.spec || made;
     const wide = columns > 1 && width > 700 ? columns : 1;
