@@ -32,7 +32,8 @@ $(INSTALLED): pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
-test: $(INSTALLED) ## Run the tests, some 15 minutes on two cores (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
+test: $(INSTALLED) ## Run the tests, a quarter of an hour on two cores (with the real scenes too when NPTRACE_SCENES names their folder; PYTHON=python3.13: on that)
+	@$(if $(PYTEST_ARGS),:,echo "all tests: about a quarter of an hour on two cores; some minutes more the first time, to compile kernels")
 	$(BIN)/python -m pytest $(IN_PARALLEL) $(PYTEST_ARGS)
 
 test-nojit: $(INSTALLED) ## Run the tests of the kernels as plain Python (NUMBA_DISABLE_JIT=1), two minutes
@@ -113,6 +114,7 @@ speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour 
 	$(BIN)/python -m tests.bench.speed_error $(ARGS)
 	$(BIN)/python -m tests.bench.arithmetic $(ARGS)
 	$(BIN)/python -m tests.bench.clock_error $(ARGS)
+	@test -n "$(ARGS)" || $(BIN)/python -m tests.bench.clock_error --held-out
 ifneq ($(ARGS),--quick)
 	$(BIN)/python -m tests.bench.estimate_speed
 	rm -f docs/data/calibration.csv

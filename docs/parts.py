@@ -35,6 +35,22 @@ def methods(cog) -> None:
         cog.outl(f"| {method} | 1/{parts} | {share:.2f} | " + " | ".join(cells) + " |")
 
 
+def held_out(cog) -> None:
+    """Write how often intervals hold where nothing was chosen by what is found."""
+    rows = [row for row in _rows("clock_error_held_out.csv") if row["method"] == METHOD]
+    found = []
+    for parts in dict.fromkeys(row["parts"] for row in rows):
+        of = [row for row in rows if row["parts"] == parts]
+        held = sum(int(row["speed_up_held"]) for row in of) / sum(int(row["samples"]) for row in of)
+        found.append(f"{100 * held:.1f} % (1/{parts})")
+    at_16 = [row for row in rows if row["parts"] == PARTS and row["rays"] == "16"]
+    worst = sum(int(row["speed_up_held"]) for row in at_16) / sum(int(row["samples"]) for row in at_16)
+    cog.outl(
+        f"There the intervals of the speed-up hold in {', '.join(found)} of the samples; with 16 rays in flight in "
+        f"{100 * worst:.1f} % (1/{PARTS})."
+    )
+
+
 def cells(cog) -> None:
     """Write errors of the speed-up by tree, policy and rays in flight, for one method."""
     rows = [row for row in _rows("clock_error.csv") if (row["method"], row["parts"]) == (METHOD, PARTS)]

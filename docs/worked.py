@@ -26,6 +26,7 @@ N_LINES = 5
 CAMERA = "eye=0,3,4 at=0,0.5,0"
 RENDER = f'nptrace render table.obj --accel bvh --bvh min_leaf=1,max_leaf=1 --pixels 3x2 --camera "{CAMERA}" --name table'
 REPLAY = "npcache replay example.din --size 64 --assoc 2 --3c"
+BY = "npcache replay traces/table-bvh --size 64 --assoc 2 --by level"
 TIME = "npcache time traces/table-bvh --size 64 --assoc 2 --prefetch push"
 
 #: Of a replay: what is counted, and from what it follows.
@@ -81,9 +82,9 @@ def run(command: str) -> str:
     return done.stdout
 
 
-def commands(cog: Any) -> None:
-    """Write the commands of the clock's example."""
-    cog.outl(f"```sh\n{RENDER}\n{TIME}\n```")
+def commands(cog: Any, *lines: str) -> None:
+    """Write commands of the examples."""
+    cog.outl("\n".join(["```sh", *lines, "```"]))
 
 
 def overview(cog: Any) -> None:
@@ -172,6 +173,22 @@ def of_time(cog: Any) -> None:
     *_, row = json.loads(run(f"{TIME} --json"))
     (about,) = json.loads(run("nptrace info traces/table-bvh --json"))
     _table(cog, {**row, "n_rays": about["n_rays"]}, OF_TIME)
+
+
+def by_level(cog: Any) -> None:
+    """Write where the misses of the run of table.obj fall, by level."""
+    run(f"{RENDER} --overwrite")
+    rows = json.loads(run(f"{BY} --json"))
+    misses = sum(row["demand_misses"] for row in rows)
+    cog.outl("| level | demand miss rate | share of misses | coverage |")
+    cog.outl("| ---: | --- | --- | --- |")
+    for row in rows:
+        n, without = row["demand_misses"], row["demand_misses_without"]
+        if abs(row["demand_miss_rate"] - n / row["demand_accesses"]) + abs(row["coverage"] - (1 - n / without)) > 1e-12:
+            raise SystemExit(f"the rates of level {row['level']} do not follow from its counts")
+        rate = f"{n} / {row['demand_accesses']} = {_number(row['demand_miss_rate'])}"
+        share, coverage = f"{n} / {misses} = {_number(n / misses)}", f"1 - {n} / {without} = {_number(row['coverage'])}"
+        cog.outl(f"| {row['level']} | {rate} | {share} | {coverage} |")
 
 
 def acpr(cog: Any) -> None:

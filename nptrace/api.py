@@ -126,7 +126,7 @@ def open(path: Path | str) -> Run:
 def replay(
     sources: Sources = (), /, *, traces: Path | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", three_c: bool = False,
-    threads: int | None = None,
+    by: str | None = None, threads: int | None = None,
 ) -> Results:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of caches, exactly, as ``npcache replay`` does.
 
@@ -142,6 +142,8 @@ def replay(
         As the command's help lists them.
     three_c : bool
         Classify misses as compulsory, capacity or conflict.
+    by : str, optional
+        ``"pixel"``, ``"level"``, ``"node"`` or ``"ray-type"``: return where the counts fall, a row for each.
     threads : int, optional
         By default, the number of processors; the results do not depend on it.
 
@@ -150,12 +152,18 @@ def replay(
     NptraceError
         A value is wrong, or a source cannot be read.
     """
-    from cachesim.report import replay_tables
-    from nptrace.studies import replayed
+    from cachesim.by_group import BY, GroupedRecords
+    from cachesim.report import group_tables, replay_tables
+    from nptrace.studies import replayed, replayed_by
 
+    if by not in (None, *BY):
+        raise NptraceError(f"by: {by!r} is not one of {', '.join(BY)}")
     configs, policies, layouts = replay_plan(size, ways, line, policy, seed, prefetch, layout)
     chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
+        if by is not None:
+            grouped = replayed_by(chosen, configs, policies, layouts, by, bar, three_c=three_c, threads=threads)
+            return Results("replay", GroupedRecords(grouped), lambda: group_tables.tables(grouped))
         results = replayed(chosen, configs, policies, layouts, bar, three_c=three_c, threads=threads)
     return Results("replay", [each.to_dict() for each in results], lambda: replay_tables.tables(results))
 

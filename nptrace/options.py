@@ -2,12 +2,31 @@
 
 import os
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, fields
+from functools import wraps
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nptrace.groups import BadInput
 from nptrace_base.errors import NptraceError
+
+if TYPE_CHECKING:
+    from cachesim.config import CacheConfig
+
+
+def gathered(name: str, kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that hands the options named as the fields of a dataclass over as one argument, ``name``."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def command(**kwargs: Any) -> Any:
+            values = {field.name: kwargs.pop(field.name) for field in fields(kind) if field.name in kwargs}
+            return function(**{name: kind(**values)}, **kwargs)
+
+        return command
+
+    return decorate
 
 
 class ListOf(click.ParamType):
@@ -77,6 +96,23 @@ def policy_option() -> Any:
     return list_option(
         "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo, random, opt (Belady)."
     )
+
+
+@dataclass(frozen=True)
+class Caches:
+    """The values of ``cache_options``."""
+
+    size: list[int]
+    ways: list[tuple[str, ...]]
+    line: list[int]
+    policy: list[str]
+    seed: int = 0
+
+    def configs(self) -> "list[CacheConfig]":
+        """Return every combination."""
+        from cachesim.grid import caches
+
+        return caches(self.size, self.ways, self.line, self.policy, self.seed)
 
 
 def threads_option() -> Any:

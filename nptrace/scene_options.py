@@ -1,14 +1,13 @@
 """Options that choose scenes, trees and rays, shared by the commands that trace."""
 
-import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from nptrace.options import ListOf, merged, threads_option
+from nptrace.options import ListOf, merged
 from nptrace.progress import Progress, say
 from nptrace_base.errors import NptraceError
 
@@ -149,57 +148,106 @@ def tree_params(accel: Sequence[str], kd_text: str, bvh_text: str, bvh_nodes: Se
     return {kind: given for kind, given in params.items() if not accel or NODE_FORMATS[kind].tree in accel}
 
 
-def bvh_nodes_option(help_: str) -> Any:
-    """Return the option for the node formats of BVHs."""
-    return click.option(
-        "--bvh-nodes", type=click.Choice(BVH_NODES), multiple=True, default=["32"], show_default=True, help=help_
-    )  # fmt: skip
+@dataclass(frozen=True)
+class Scenes:
+    """The scenes that options name, and how they are seen."""
+
+    names: tuple[str, ...]
+    strict: bool = False
+    offline: bool = False
+    cameras: tuple[str, ...] = ()
+    light: str | None = None
+
+    def load(self) -> "list[Scene]":
+        """Return the scenes, each seen by every camera."""
+        return load_scenes(self.names, self.strict, self.offline, self.cameras, self.light)
+
+    @property
+    def views(self) -> list[str]:
+        """The cameras, and the light, that are given."""
+        return [*self.cameras, *([self.light] if self.light else [])]
+
+
+@dataclass(frozen=True)
+class Trees:
+    """The values of ``tree_options``."""
+
+    accel: Sequence[str] = ()
+    kd_text: str = ""
+    bvh_text: str = ""
+    bvh_nodes: tuple[str, ...] = ("32",)
+
+    def params(self) -> dict[str, dict[str, Any]]:
+        """Return the parameters of the builder of each kind of tree."""
+        return tree_params(self.accel, self.kd_text, self.bvh_text, self.bvh_nodes)
 
 
 @dataclass(frozen=True)
 class Picture:
-    """The values of ``picture_options``: the rays and the trees."""
+    """The values of ``ray_options``."""
 
     pixels: str = "2048x2048"
     order: str = "scanline"
     batch: int = 1
-    kd_text: str = ""
-    bvh_text: str = ""
-    bvh_nodes: tuple[str, ...] = ("32",)
     seed: int = 0
-    exact_below: int = 100_000_000
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
 
     def shooting(self) -> "Shooting":
-        """Return the rays; the seed is also that of the sample, which must not change a run of another order."""
+        """Return the rays."""
         from rtrace.camera import parse_size
-        from rtrace.render import Shooting
+        from rtrace.shooting import Shooting
 
-        return Shooting(*parse_size(self.pixels), self.order, self.batch, self.seed if self.order == "random" else 0)
-
-
-SAME = "As in nptrace render."
+        return Shooting(*parse_size(self.pixels), self.order, self.batch, self.seed)
 
 
-def picture_options(command: Any) -> Any:
-    """Add the options of `nptrace render` that decide the rays and the trees, for commands that trace on demand."""
-    orders = ["scanline", "tile", "morton", "hilbert", "random"]
+def tree_options(command: Any) -> Any:
+    """Add the options that decide the trees."""
     for option in reversed((
-        click.option("--pixels", default="2048x2048", show_default=True, metavar="WxH", help="Size of the picture."),
-        click.option("--camera", metavar="TEXT", help=SAME),
-        click.option("--light", metavar="X,Y,Z", help=SAME),
-        click.option("--order", type=click.Choice(orders), default="scanline", show_default=True, help=SAME),
-        click.option("--batch", type=click.IntRange(0), default=1, show_default=True, help=SAME),
-        click.option("--kd", "kd_text", metavar="NAME=VALUE,...", default="", help=SAME),
-        click.option("--bvh", "bvh_text", metavar="BUILDER,NAME=VALUE,...", default="sweep", show_default=True, help=SAME),
-        bvh_nodes_option(SAME),
-        click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the sample and the order."),
+        accel_option(),
         click.option(
-            "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",
-            help="Count runs of up to N predicted accesses exactly, without sampling.",
+            "--kd", "kd_text", metavar="NAME=VALUE,...", default="",
+            help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level, min_leaf, max_leaf; `coarse` is max_level=16.",
         ),
-        threads_option(),
-        scene_options,
+        click.option(
+            "--bvh", "bvh_text", metavar="BUILDER,NAME=VALUE,...", default="sweep", show_default=True,
+            help="BVH builder: sweep, exact SAH over all centroids, or binned, up to 16 bins; c_trav, c_isect, min_leaf, "
+            "max_leaf.",
+        ),
+        click.option(
+            "--bvh-nodes", type=click.Choice(BVH_NODES), multiple=True, default=["32"], show_default=True,
+            help="Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.",
+        ),
     )):  # fmt: skip
         command = option(command)
     return command
+
+
+def ray_options(pixels: str) -> Any:
+    """Return a decorator that adds the options that decide the view and the rays; ``pixels`` is the usual size."""
+
+    def add(command: Any) -> Any:
+        for option in reversed((
+            click.option("--pixels", default=pixels, show_default=True, metavar="WxH", help="Size of the picture in pixels."),
+            click.option(
+                "--camera", "cameras", multiple=True, metavar="TEXT",
+                help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; by default the scene's or a fitted one. May be repeated.",
+            ),
+            click.option(
+                "--light", metavar="X,Y,Z", help="Position of the point light; by default the scene's or a fitted one."
+            ),
+            click.option(
+                "--order", type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]), default="scanline",
+                show_default=True, help="Order in which the pixels are traced.",
+            ),
+            click.option(
+                "--batch", type=click.IntRange(0), default=1, show_default=True,
+                help="Primary rays traced before their shadow rays; 0 means all of them.",
+            ),
+            click.option(
+                "--seed", type=click.IntRange(0), default=0, show_default=True,
+                help="Seed of the random order, and of a sample.",
+            ),
+        )):  # fmt: skip
+            command = option(command)
+        return command
+
+    return add

@@ -4,41 +4,52 @@ import shlex
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from cachesim.config import CacheConfig, parse_bytes
 from nptrace.groups import BadInput
-from nptrace.options import list_option, size_option, ways_option
+from nptrace.options import Caches, gathered, list_option, size_option, threads_option, ways_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.scene_options import Picture, accel_option, load_scenes, picture_options, tree_params
+from nptrace.scene_options import Picture, Scenes, Trees, ray_options, scene_options, tree_options
 from nptrace.sources import LAYOUT_HELP
 
 if TYPE_CHECKING:
     from cachesim.sampling.estimate import Estimated
-    from cachesim.sampling.target import Target
     from rtrace.scenes.scene import Scene
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """The values of the options of a sample."""
+
+    error: str
+    exact_below: int = 100_000_000
+    threads: int | None = None
+    resume: Path | None = None
+
+
 def estimate_scenes(
-    scenes: "Sequence[Scene]", accel: Sequence[str], configs: Sequence[CacheConfig], target: "Target", picture: Picture,
-    layouts: Sequence[str] = ("stored",), resume: Path | None = None,
+    scenes: "Sequence[Scene]", trees: Trees, configs: Sequence[CacheConfig], picture: Picture, sampling: Sampling,
+    layouts: Sequence[str] = ("stored",),
 ) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
-    """Estimate every scene with every tree (both if ``accel`` is empty) and layout; return (tree, scene, result) of each."""
+    """Estimate every scene with every tree and layout; return (tree, scene, result) of each."""
     from cachesim.sampling.estimate import estimate as estimate_source
+    from cachesim.sampling.target import parse_target
     from rtrace.ray_source import RayUnits
     from rtrace.trees.tree_cache import cached_tree
 
-    shooting = picture.shooting()
-    params = tree_params(accel, picture.kd_text, picture.bvh_text, picture.bvh_nodes)
+    target, params = parse_target(sampling.error), trees.params()
+    # The seed is also that of the sample, and must not change a run of another order.
+    shooting = (picture if picture.order == "random" else replace(picture, seed=0)).shooting()
     n_jobs = len(scenes) * len(params) * len(layouts)
-    if resume is not None and n_jobs > 1:
-        raise BadInput(f"--resume {resume} keeps the counts of one run; name one SCENE, one --accel and one --layout")
+    if sampling.resume is not None and n_jobs > 1:
+        raise BadInput(f"--resume {sampling.resume} keeps the counts of one run; name one SCENE, one --accel and one --layout")
     found = []
     with Progress(n_jobs) as bar:
         for scene in scenes:
@@ -47,8 +58,8 @@ def estimate_scenes(
                 bar.phase("build")
                 source = RayUnits(scene, cached_tree(scene, kind, **given), shooting)
                 result = estimate_source(
-                    source, configs, target, layout=layout, seed=picture.seed, threads=picture.threads,
-                    exact_below=picture.exact_below, resume=resume, progress=bar.phase("estimate", None),
+                    source, configs, target, layout=layout, seed=picture.seed, threads=sampling.threads,
+                    exact_below=sampling.exact_below, resume=sampling.resume, progress=bar.phase("estimate", None),
                 )  # fmt: skip
                 found.append((kind, scene, result))
     return found
@@ -56,7 +67,7 @@ def estimate_scenes(
 
 @click.command()
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
-@accel_option()
+@tree_options
 @size_option()
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZE", default="32", help="Line size in bytes; one at a time.")
@@ -67,13 +78,23 @@ def estimate_scenes(
     "--target-error", "error", default="2%,0.05pp", show_default=True, metavar="ERROR",
     help="Half-width allowed for every miss rate: relative (2%), in percentage points (0.05pp), or the wider of both.",
 )  # fmt: skip
-@picture_options
+@ray_options("2048x2048")
+@click.option(
+    "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",
+    help="Count runs of up to N predicted accesses exactly, without sampling.",
+)  # fmt: skip
+@threads_option()
+@scene_options
 @output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
 @results_options()
+@gathered("scenes", Scenes)
+@gathered("trees", Trees)
+@gathered("picture", Picture)
+@gathered("caches", Caches)
+@gathered("sampling", Sampling)
 def estimate(
-    names: tuple[str, ...], accel: list[str], size: list[int], ways: list[tuple[str, ...]], line: list[int],
-    policy: list[str], layout: list[str], is_table1: bool, error: str, resume: Path | None, output: Output, strict: bool,
-    offline: bool, camera: str | None, light: str | None, **picture: Any,
+    scenes: Scenes, trees: Trees, picture: Picture, caches: Caches, layout: list[str], is_table1: bool, sampling: Sampling,
+    output: Output,
 ) -> None:  # fmt: skip
     """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.
 
@@ -84,25 +105,24 @@ def estimate(
     npcache estimate sponza --table1
     npcache estimate model.obj --size 16K,64K --assoc 2,8 --target-error 5% --pixels 4096x4096 --accel bvh
     """
-    from cachesim.grid import caches
     from cachesim.layout import parse_layout
     from cachesim.report import estimate_tables, table1
     from cachesim.sampling.cold_start import check_lru
     from cachesim.sampling.target import parse_target
     from traces.format import printable
 
-    target, began = parse_target(error), time.perf_counter()
+    began = time.perf_counter()
+    parse_target(sampling.error)  # refused now, not after scenes are loaded
     layouts = list(dict.fromkeys(str(parse_layout(text)) for text in layout))
     if is_table1:
-        configs = [replace(each, policy=one) for one in policy for each in table1.caches()]
+        configs = [replace(each, policy=one) for one in caches.policy for each in table1.caches()]
     else:
-        configs = caches(size, ways, line, policy)
+        configs = caches.configs()
     check_lru(configs)
-    scenes = load_scenes(names, strict, offline, [camera] if camera else [], light)
-    found = estimate_scenes(scenes, accel, configs, target, Picture(**picture), layouts, resume)
+    found = estimate_scenes(scenes.load(), trees, configs, picture, sampling, layouts)
     results = [result for _, _, result in found]
     output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))
     methods = ", ".join(f"{n} {method}" for method, n in Counter(result.method for result in results).items())
-    words = " ".join(shlex.quote(printable(name)) for name in names[:3])
+    words = " ".join(shlex.quote(printable(name)) for name in scenes.names[:3])
     what = f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches"
-    done(what, began, f"nptrace render {words} --pixels {picture['pixels']}")
+    done(what, began, f"nptrace render {words} --pixels {picture.pixels}")

@@ -7,69 +7,26 @@ from typing import TYPE_CHECKING
 import click
 
 from nptrace.groups import Command
-from nptrace.options import threads_option
+from nptrace.options import gathered, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, size_text
-from nptrace.scene_options import (
-    accel_option,
-    bvh_nodes_option,
-    check_run_names,
-    load_scenes,
-    own_rays,
-    scene_options,
-    tree_params,
-)
+from nptrace.scene_options import Picture, Scenes, Trees, check_run_names, own_rays, ray_options, scene_options, tree_options
 from nptrace.sources import again
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
-    from rtrace.render import Summary
+    from rtrace.ray_file import RayFile
+    from rtrace.render import Shooting, Summary
 
 
 @click.command(cls=Command, old={"--size": "--pixels"})
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
-@accel_option()
-@click.option("--pixels", default="128x128", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
-@click.option(
-    "--camera", "cameras", multiple=True, metavar="TEXT",
-    help="'eye=1,2,3 at=0,0,0 up=0,1,0 fov=45'; by default the scene's or a fitted one. Several make several runs.",
-)  # fmt: skip
-@click.option("--light", metavar="X,Y,Z", help="Position of the point light; by default the scene's or a fitted one.")
-@click.option(
-    "--order",
-    type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]),
-    default="scanline",
-    show_default=True,
-    help="Order in which the pixels are traced.",
-)
-@click.option(
-    "--batch",
-    type=click.IntRange(0),
-    default=1,
-    show_default=True,
-    help="Primary rays traced before their shadow rays; 0 means all of them.",
-)
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the random order.")
-@click.option(
-    "--kd",
-    "kd_text",
-    metavar="NAME=VALUE,...",
-    default="",
-    help="kd-tree builder: c_trav, c_isect, empty_bonus, max_level, min_leaf, max_leaf; `coarse` is max_level=16.",
-)
-@click.option(
-    "--bvh",
-    "bvh_text",
-    metavar="BUILDER,NAME=VALUE,...",
-    default="sweep",
-    show_default=True,
-    help="BVH builder: sweep, exact SAH over all centroids, or binned, up to 16 bins; c_trav, c_isect, min_leaf, max_leaf.",
-)
+@tree_options
+@ray_options("128x128")
 @click.option(
     "--rays", "ray_file", type=click.Path(path_type=Path), metavar="FILE.parquet",
     help="Trace these rays instead of a picture's: columns origin, direction and, if you like, t_min, t_max, any_hit.",
 )  # fmt: skip
-@bvh_nodes_option("Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.")
 @click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
 @click.option(
     "--name", "run_names", multiple=True, metavar="NAME",
@@ -79,10 +36,12 @@ if TYPE_CHECKING:
 @threads_option()
 @scene_options
 @results_options()
+@gathered("scenes", Scenes)
+@gathered("trees", Trees)
+@gathered("picture", Picture)
 def render(
-    names: tuple[str, ...], accel: list[str], pixels: str, cameras: tuple[str, ...], light: str | None, order: str,
-    batch: int, seed: int, kd_text: str, bvh_text: str, bvh_nodes: tuple[str, ...], ray_file: Path | None, out: Path,
-    run_names: tuple[str, ...], overwrite: bool, threads: int, strict: bool, offline: bool, output: Output,
+    scenes: Scenes, trees: Trees, picture: Picture, ray_file: Path | None, out: Path, run_names: tuple[str, ...],
+    overwrite: bool, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
@@ -96,20 +55,15 @@ def render(
     nptrace render model.obj --accel bvh --pixels 512x512 --camera "eye=0,2,5 at=0,0,0"
     """
     from nptrace.studies import rendered
-    from rtrace.camera import parse_size
-    from rtrace.ray_file import RayFile
-    from rtrace.render import Shooting
 
     began = time.perf_counter()
-    check_run_names(run_names, len(names) * max(len(cameras), 1))
-    shooting: Shooting | RayFile
-    shooting = picture = Shooting(*parse_size(pixels), order, batch, seed)
+    check_run_names(run_names, len(scenes.names) * max(len(scenes.cameras), 1))
+    shooting: Shooting | RayFile = picture.shooting()
     if ray_file is not None:
-        shooting = own_rays(ray_file, picture, [*cameras, *([light] if light else [])])
-    chosen = tree_params(accel, kd_text, bvh_text, bvh_nodes)
-    scenes = load_scenes(names, strict, offline, cameras, light)
-    with Progress(len(scenes) * len(chosen)) as bar:
-        runs = rendered(scenes, chosen, shooting, out, bar, names=run_names, overwrite=overwrite, threads=threads)
+        shooting = own_rays(ray_file, picture.shooting(), scenes.views)
+    params, seen = trees.params(), scenes.load()
+    with Progress(len(seen) * len(params)) as bar:
+        runs = rendered(seen, params, shooting, out, bar, names=run_names, overwrite=overwrite, threads=threads)
     output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
     n_rays, n_bytes = sum(run.n_rays for run in runs), sum(run.n_bytes for run in runs)
     what = f"{len(runs)} run{'s' * (len(runs) != 1)}, {n_rays:,} rays, {size_text(n_bytes)}"

@@ -7,7 +7,7 @@ import click
 
 from cachesim.config import parse_bytes
 from nptrace.groups import BadInput, Command
-from nptrace.options import list_option, policy_option, size_option, threads_option, ways_option
+from nptrace.options import Caches, gathered, list_option, policy_option, size_option, threads_option, ways_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, again, chosen_sources, traces_option, untimed_policies
@@ -34,10 +34,10 @@ BY = ("pixel", "level", "node", "ray-type")
 )
 @threads_option()
 @results_options("dinero")
+@gathered("caches", Caches)
 def replay(
-    sources: tuple[Path, ...], folder: Path, size: list[int], ways: list[tuple[str, ...]], line: list[int],
-    policy: list[str], seed: int, prefetch: list[str], layout: list[str], three_c: bool, by: str | None, threads: int,
-    output: Output,
+    sources: tuple[Path, ...], folder: Path, caches: Caches, prefetch: list[str], layout: list[str], three_c: bool,
+    by: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of the cache options, exactly.
 
@@ -51,13 +51,12 @@ def replay(
     npcache replay x.din --size 2K --assoc 2 --format dinero
     """
     from cachesim.by_group import GroupedRecords
-    from cachesim.grid import caches
     from cachesim.report import group_tables, replay_tables
     from nptrace.studies import replayed, replayed_by
 
     if by is not None and output.form == "dinero":
         raise BadInput("--format dinero has the counts of whole caches, and --by asks for their parts; leave one out")
-    configs, paths, began = caches(size, ways, line, policy, seed), chosen_sources(sources, folder), time.perf_counter()
+    configs, paths, began = caches.configs(), chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
         if by is None:
             results = replayed(paths, configs, prefetch, layout, bar, three_c=three_c, threads=threads)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import click
 
-from nptrace.commands.estimate import estimate_scenes
+from nptrace.commands.estimate import Sampling, estimate_scenes
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
-from nptrace.scene_options import Picture, load_scenes
+from nptrace.scene_options import Picture, Scenes, Trees
 from nptrace.sources import LAYOUT_HELP, again, chosen_sources, traces_option
 
 
@@ -44,7 +44,6 @@ def table1(
     npcache table1 --format csv -o table1.csv
     npcache table1 --target-error 2%,0.05pp --pixels 2048x2048
     """
-
     from cachesim.layout import parse_layout
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
@@ -53,7 +52,7 @@ def table1(
 
     parse_layout(layout)
     if error is not None:
-        estimated_table1(error, Picture(pixels=pixels, seed=seed, threads=threads), policy, layout, output)
+        estimated_table1(Sampling(error, threads=threads), Picture(pixels=pixels, seed=seed), policy, layout, output)
         return
     chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
     began = time.perf_counter()
@@ -65,18 +64,16 @@ def table1(
     done(f"{len(chosen)} runs, {len(rows)} caches", began, f"npcache compare {again(sources, folder)}".rstrip())
 
 
-def estimated_table1(error: str, picture: Picture, policy: str, layout: str, output: Output) -> None:
+def estimated_table1(sampling: Sampling, picture: Picture, policy: str, layout: str, output: Output) -> None:
     """Write Table I estimated for the four scenes and both trees."""
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import SCENES, TREES, caches
     from cachesim.sampling.cold_start import check_lru
-    from cachesim.sampling.target import parse_target
 
-    target, began = parse_target(error), time.perf_counter()
+    began = time.perf_counter()
     configs = [replace(each, policy=policy) for each in caches()]
     check_lru(configs)
-    scenes = load_scenes(SCENES, strict=False, offline=False)
-    found = estimate_scenes(scenes, tuple(TREES), configs, target, picture, [layout])
+    found = estimate_scenes(Scenes(SCENES).load(), Trees(tuple(TREES)), configs, picture, sampling, [layout])
     ordered = [(tree, scene.name, result) for tree in TREES for kind, scene, result in found if kind == tree]
     records = estimate_tables.records([result for _, _, result in ordered], output.form)
     output.write(records, lambda: estimate_tables.table1_tables(ordered))

@@ -13,7 +13,7 @@ HARD = "tests/rtrace/checks/test_hard_cases.py"
 
 MUTATIONS = [
     # Rays of a file
-    Mutation("ray file: every ray is a closest-hit ray", "rtrace/ray_file.py", "any_hit=kind)", "any_hit=False)", "tests/rtrace/test_ray_file.py -k brute_force"),
+    Mutation("ray file: every ray is a closest-hit ray", "rtrace/ray_file.py", "any_hit=kind)", "any_hit=False)", "tests/rtrace/test_ray_file.py -k early"),
     Mutation("ray file: t_max is ignored", "rtrace/ray_file.py", 'ends["t_min"], ends["t_max"])', 'ends["t_min"])', "tests/rtrace/test_ray_file.py -k brute_force"),
     Mutation("ray file: events of the two types in two blocks", "rtrace/ray_file.py", "joined[np.repeat(first[chosen] - (np.cumsum(own) - own), own) + np.arange(len(events))] = events", "joined[np.arange(len(events))] = events", "tests/rtrace/test_ray_file.py -k 'brute_force or replays'"),
     Mutation("ray file: chunks as they are ready, one lost", "rtrace/ray_file.py", "islice(following, 1))", "islice(following, 0))", "tests/rtrace/test_ray_file.py -k 'brute_force or threads'"),

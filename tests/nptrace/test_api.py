@@ -75,6 +75,7 @@ def test_a_function_has_the_options_and_defaults_of_its_command(name):
         (lambda: nt.replay("traces/bunny-bvh", size="1K,2K", ways=[1, "full"], prefetch="none,stack:tris*2", three_c=True),
          "replay traces/bunny-bvh --size 1K,2K --ways 1,full --prefetch none,stack:tris*2 --3c"),
         (lambda: nt.replay(), "replay"),
+        (lambda: nt.replay("traces/bunny-bvh", by="level"), "replay traces/bunny-bvh --by level"),
         (lambda: nt.sweep([nt.open("traces/bunny-bvh"), Path("other")], size="1K..2K", ways="1..2"),
          "sweep traces/bunny-bvh other --size 1K..2K --ways 1..2"),
         (lambda: nt.time("traces/bunny-bvh", size=1024, ways=1, rays=[1, 4], policy="fifo"),

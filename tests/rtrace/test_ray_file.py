@@ -124,6 +124,18 @@ def test_the_bytes_do_not_depend_on_threads(folder, monkeypatch):
         assert (one / name).read_bytes() == (other / name).read_bytes()
 
 
+def test_any_hit_rays_end_early(folder):
+    """At the first hit they stop, so some read fewer nodes than as closest-hit rays, and none reads more."""
+    origin, direction, _, _ = rays_of(300)
+    counts = []
+    for any_hit in (False, True):
+        write("rays.parquet", origin, direction, any_hit=np.full(300, any_hit))
+        render("--rays", "rays.parquet", "--accel", "bvh", "--out", str(any_hit))
+        [path] = (folder / str(any_hit)).iterdir()
+        counts.append(open_run(path).columns("rays")["count"].astype(int))
+    assert (counts[1] <= counts[0]).all() and counts[1].sum() < counts[0].sum()
+
+
 def test_every_value_is_in_the_checksum(folder):
     origin, direction, t_max, any_hit = rays_of(9)
     found = set()
