@@ -1,7 +1,7 @@
 """Pictures: which files one can be drawn into, which a command asks before its work, and the style that all of them have."""
 
 import importlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -39,13 +39,26 @@ def ending_of(path: Path, endings: Sequence[str]) -> str:
 def check_plot(path: Path) -> None:
     """Raise NptraceError if a plot cannot be drawn into a file: its ending is unknown, or matplotlib is missing."""
     ending_of(path, PICTURES)
-    try:
-        importlib.import_module("matplotlib")
-    except ImportError:
+    check_packages("a plot", {"matplotlib": "matplotlib"})
+
+
+def check_packages(what: str, packages: Mapping[str, str]) -> None:
+    """Raise NptraceError, with the way out, if modules that something needs are missing: names of packages by module."""
+    lost = [package for module, package in packages.items() if not _is_there(module)]
+    if lost:
+        are = "is" if len(lost) == 1 else "are"
         raise NptraceError(
-            "a plot needs matplotlib, which is not installed; run: pip install matplotlib, or "
-            "uv tool install --with matplotlib nptrace, or pipx inject nptrace matplotlib"
-        ) from None
+            f"{what} needs {' and '.join(lost)}, which {are} not installed; run: pip install {' '.join(lost)}, or "
+            f"uv tool install {' '.join(f'--with {name}' for name in lost)} nptrace, or pipx inject nptrace {' '.join(lost)}"
+        )
+
+
+def _is_there(module: str) -> bool:
+    try:
+        importlib.import_module(module)
+    except ImportError:
+        return False
+    return True
 
 
 @contextmanager

@@ -119,7 +119,7 @@ def _enlarge(run: "Run", path: Path, enlarge: int | None) -> tuple[int, int]:
     from cachesim.report.heat_figure import enlargement
     from nptrace_base.atomic import whole_file
 
-    picture = Image.fromarray(_picture(run))
+    picture = Image.fromarray(picture_of(run))
     n = enlarge or enlargement([picture.size], 1)
     large = picture.resize((picture.width * n, picture.height * n), Image.Resampling.NEAREST)
     with whole_file(path) as temporary:
@@ -160,7 +160,7 @@ def _sheet(
         bar.job(of_run.identity.run)
         for kind in kinds:
             progress = bar.phase(kind, run.n_accesses)
-            values[kind].append(_picture(run) if kind == "picture" else of_run.values(kind, progress))
+            values[kind].append(picture_of(run) if kind == "picture" else of_run.values(kind, progress))
     names = labels(each.identity for each in maps)
     titles = [names[each.identity] for each in maps]
     return Sheet([_column(kind, titles, values[kind], setting, is_difference=is_difference) for kind in kinds])
@@ -185,7 +185,7 @@ def _column(kind: str, titles: list[str], values: list, setting: "Setting", *, i
     return panels
 
 
-def _picture(run: "Run") -> Any:
+def picture_of(run: "Run") -> Any:
     """Return the picture of a run, (height, width, 3) uint8."""
     import numpy as np
     from PIL import Image

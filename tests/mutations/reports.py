@@ -17,8 +17,17 @@ PLOTTED = PRINTED + " -k plot"
 TABLE1, BLOCK, EXPORTED = PRINTED + " -k test_table1", PRINTED + " -k dinero", PRINTED + " -k test_export"
 
 VERDICTS = "tests/cachesim/report/test_verdicts.py"
+REPORTED = "tests/nptrace/test_report.py"
 
 MUTATIONS = [
+    # The page of npcache report
+    Mutation("page: the levels are of another cache", "nptrace/commands/report.py", "configs[:1], policies, layouts, \"level\"", "configs[-1:], policies, layouts, \"level\"", REPORTED + " -k the_numbers_are"),
+    Mutation("page: the clock's numbers are not in its command", "nptrace/commands/report.py", "--machine {machine}{given}{_cache_options([first])}", "--machine {machine}{_cache_options([first])}", REPORTED + " -k the_numbers_are"),
+    Mutation("page: JSON can end its element", "cachesim/report/page.py", '.replace("<", "\\\\u003c")', '.replace("\\0", "")', REPORTED + " -k names_that_are_html"),
+    Mutation("page: a large map shows the first pixel of a square", "cachesim/report/page.py", "np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)", "values[::side, ::side]", REPORTED + " -k large_map"),
+    Mutation("page: maps go from bottom to top", "cachesim/report/page.py", "np.ascontiguousarray(cells, dtype", "np.ascontiguousarray(cells[::-1], dtype", REPORTED + " -k heat_maps"),
+    Mutation("page: a missing package is found after the work", "nptrace/commands/report.py", "    check_page(path)\n", "", REPORTED + " -k missing_packages"),
+    Mutation("page: a row of a table is of another run", "cachesim/report/page.py", "return {\"text\": _text(row[key], form), \"order\": row[key]}", "return {\"text\": _text(row[key], form), \"order\": _text(row[key], form)}", REPORTED + " -k tables_have"),
     # verdicts
     Mutation("verdict: p per access of any kind", "cachesim/report/replay_tables.py", "p = [each.prefetch_accesses / each.demand_accesses for", "p = [each.prefetch_accesses / (each.demand_accesses + each.prefetch_accesses) for", VERDICTS),
     Mutation("verdict: the paper's rate falls by 1 / (1 + p)", "cachesim/report/replay_tables.py", "ratio / (1 + extra) for ratio", "ratio - 1 / (1 + extra) for ratio", VERDICTS),

@@ -56,8 +56,9 @@ WRITERS = {
     "table1": (cli.npcache, ["table1", "--format", "csv", "-o"], b"run,path,scene"),
     "runs plotted": (cli.npcache, ["plot", "traces/one-bvh", "-o"], b"\x89PNG"),
     "view": (cli.nptrace, ["view", "traces/one-bvh", "-o"], b"\x89PNG"),
+    "report": (cli.npcache, ["report", "traces/one-bvh", "-o"], b"<!doctype html>"),
 }
-ENDING = {"plot": ".png", "sweep": ".csv", "runs plotted": ".png", "view": ".png"}
+ENDING = {"plot": ".png", "sweep": ".csv", "runs plotted": ".png", "view": ".png", "report": ".html"}
 
 
 @pytest.fixture(params=WRITERS)
