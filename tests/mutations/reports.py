@@ -69,7 +69,7 @@ MUTATIONS = [
     Mutation("order: squares column by column", "rtrace/camera.py", "split.transpose(3, 0, 1, 4, 2, 5)", "split.transpose(3, 0, 4, 1, 2, 5)", ORDERS),
     Mutation("order: another half of the random bits", "rtrace/camera.py", "& np.uint64(0xFFFFFFFF_00000000)", "<< np.uint64(32)", ORDERS),
     Mutation("order: random from the seed 0", "rtrace/camera.py", "np.random.PCG64(seed)", "np.random.PCG64(0)", ORDERS),
-    Mutation("order: --seed of render ignored", "nptrace/commands/render.py", "picture = Shooting(*parse_size(pixels), order, batch, seed)", "picture = Shooting(*parse_size(pixels), order, batch, 0)", PRINTED + " -k random_order"),
+    Mutation("order: --seed of render ignored", "nptrace/scene_options.py", "self.order, self.batch, self.seed)", "self.order, self.batch, 0)", PRINTED + " -k random_order"),
     # render
     Mutation("render: n_shadowed counts primary hits", "rtrace/render.py", "n_shadowed += chunk.n_shadowed", "n_shadowed += chunk.n_hits", RENDERED),
     Mutation("render: n_hits and n_shadow_rays swapped", "rtrace/render.py", "n_rays, n_hits, n_shadow, n_shadowed,\n", "n_rays, n_shadow, n_hits, n_shadowed,\n", RENDERED),
@@ -92,7 +92,7 @@ MUTATIONS = [
     Mutation("replay: traffic of demand misses alone", "cachesim/result.py", "return ratio(self.bytes_from_memory, self", "return ratio(self.demand_misses * self.config.line_bytes, self", REPLAYED),
     Mutation("replay: rates of the table swapped", "cachesim/report/replay_tables.py", "[percent(r.demand_miss_rate), percent(r.paper_miss_rate)]", "[percent(r.paper_miss_rate), percent(r.demand_miss_rate)]", REPLAYED),
     Mutation("replay: sizes of lines and ways swapped in the JSON", "cachesim/result.py", '"ways": config.ways,\n            "line_bytes": config.line_bytes', '"ways": config.line_bytes,\n            "line_bytes": config.ways', REPLAYED),
-    Mutation("replay: --seed ignored", "nptrace/commands/replay.py", "caches(size, ways, line, policy, seed)", "caches(size, ways, line, policy, 0)", PRINTED + " -k random_policy"),
+    Mutation("replay: --seed ignored", "nptrace/options.py", "self.policy, self.seed)", "self.policy, 0)", PRINTED + " -k random_policy"),
     Mutation("replay: per cent of a share of one", "nptrace_base/tables.py", "None if value is None else 100 * value, decimals", "None if value is None else value, decimals", REPLAYED),
     # DineroIV's block
     Mutation("dinero: columns of misc and ifetch swapped", "cachesim/report/dinero.py", "[fetch + read + write + misc, fetch, read + write + misc, read, write, misc]", "[fetch + read + write + misc, misc, read + write + misc, read, write, fetch]", BLOCK),
