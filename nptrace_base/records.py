@@ -55,11 +55,11 @@ def to_arrow(records: Sequence[Record], types: Mapping[str, type] | None = None)
                 found[name] = None if value is None else type(value)
     held = {name: type_ or (types or {}).get(name, float) for name, type_ in found.items()}
     schema, rows = pa.schema([pa.field(name, arrow.get(type_, pa.float64())) for name, type_ in held.items()]), iter(records)
-    pieces = [schema.empty_table()]
+    pieces = []
     for _ in range(0, len(records), _AT_A_TIME):
         plain = [{name: _utf8(value) for name, value in record.items()} for record in islice(rows, _AT_A_TIME)]
         pieces.append(pa.Table.from_pylist(plain, schema))
-    return pa.concat_tables(pieces)
+    return pa.concat_tables(pieces or [schema.empty_table()])
 
 
 def write_parquet(records: Sequence[Record], path: Path, types: Mapping[str, type] | None = None) -> None:
