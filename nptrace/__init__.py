@@ -1,9 +1,8 @@
 """nptrace: node-cache studies in ray tracing, from Python as from the command line.
 
-    import nptrace as nt
-
-    run = nt.render("sponza", accel="bvh")
-    nt.replay(run, size="8K,16K", ways=2).to_pandas()
+    >>> import nptrace as nt
+    >>> run = nt.render("sponza", accel="bvh")
+    >>> nt.replay(run, size="8K,16K", ways=2).to_pandas()
 
 The functions have the names, the options and the defaults of the commands (docs/python.md). They are imported when they are
 used, so importing this package costs nothing.

@@ -103,7 +103,7 @@ def baselines(run: Run, config: CacheConfig, layout: Layout) -> list[tuple[Cache
     for line_bytes in (config.line_bytes, 2 * config.line_bytes, 4 * config.line_bytes):
         lines = config.size_bytes // line_bytes
         ways = config.ways if config.n_sets > 1 else lines
-        if lines < ways or config.size_bytes % (ways * line_bytes):
+        if not 0 < ways <= lines or config.size_bytes % (ways * line_bytes):
             continue
         cache = replace(config, line_bytes=line_bytes, ways=ways)
         aligned = (-node_bytes) % max(line_bytes, node_bytes)  # the pair of nodes 1 and 2 begins at a line

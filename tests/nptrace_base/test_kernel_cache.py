@@ -213,3 +213,15 @@ def test_a_tree_is_not_taken_from_a_folder_of_others(tmp_path, monkeypatch):
     for _ in range(2):
         assert tree_cache.cached_tree(scene, "bvh", tmp_path / "trees").nodes.tobytes() == want.nodes.tobytes()
     assert len(said) == 1 and said[0].startswith(f"trees could not be kept in {tmp_path}/trees (others may write to it")
+
+
+def test_in_a_folder_of_everybodys_packages_only_ours_count(tmp_path, monkeypatch):
+    """Where a wheel is installed; with NumPy's sources, kernels were compiled again after each change of NumPy."""
+    monkeypatch.setattr(sources, "ROOT", tmp_path)
+    for name in ("rtrace", "somebody_elses"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("")
+    (tmp_path / "rtrace/one.py").write_text("import somebody_elses\nfrom rtrace import two\n")
+    (tmp_path / "rtrace/two.py").write_text("")
+    found = sources.closure([tmp_path / "rtrace/one.py"])
+    assert sorted(path.name for path in found) == ["__init__.py", "one.py", "two.py"]
