@@ -56,8 +56,16 @@ assert [row["tree"] for row in rows] == ["kdtree", "bvh"], rows
 assert all(0 < row["demand_miss_rate"] < 1 for row in rows), rows
 CHECK
 
-# The report page, in a browser: here, with the runs above.
+# The report page of a scene that is built in, as both trees, in a browser if there is one.
+report() {
+    . nptrace-env/bin/activate
+    nptrace render room --pixels 32x32
+    npcache report traces/room-kdtree-32x32 traces/room-bvh-32x32 -o room.html
+    python tests/browser.py room.html
+}
+(report)
+grep -q '<h1>Node caches: room</h1>' room.html
 
 # Nothing was left behind that git would show, but for what the commands say that they write.
-git status --porcelain | grep -v '^?? \(nptrace-env/\|table.obj\|rates.json\|.*\.png\)' && exit 1
+git status --porcelain | grep -v '^?? \(nptrace-env/\|table.obj\|rates.json\|room.html\|.*\.png\)' && exit 1
 echo "newcomer: the README's commands and an own mesh work in a fresh clone, in $SECONDS s"

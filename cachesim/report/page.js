@@ -28,7 +28,7 @@
   async function draw(place) {
     const { spec, rows: name, columns, lines } = data.charts[place.dataset.chart];
     const values = rows[name].filter(isShown);
-    const width = place.clientWidth;
+    const width = place.parentElement.clientWidth;
     if (!width || !values.length) {
       place.replaceChildren();
       return;

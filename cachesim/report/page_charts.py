@@ -62,7 +62,7 @@ def _curves() -> dict[str, Any]:
                 "strokeDash": {
                     "field": "prefetching", "title": "prefetching",
                     "scale": {"domain": ["with", "without"], "range": [[1, 0], [5, 4]]},
-                    "legend": {"symbolType": "stroke", "symbolSize": 300},
+                    "legend": {"symbolType": "stroke", "symbolSize": 300, "symbolStrokeColor": "#888888"},
                 },
                 "detail": [{"field": "layout"}, {"field": "prefetch"}, {"field": "line_bytes"}],
                 "tooltip": hover,

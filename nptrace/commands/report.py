@@ -51,7 +51,6 @@ def report(
     npcache report traces/bunny-kdtree traces/bunny-bvh --size 8K,16K --assoc 1,2 -o bunny.html
     """
     from cachesim.report.page import check_page, page
-    from nptrace.studies import parsed
     from traces.reader import open_run
 
     began = time.perf_counter()
@@ -60,7 +59,7 @@ def report(
     check_page(path)
     if len(machines.clocks) > 1:
         raise BadInput(f"a report takes one machine, and the options ask for {len(machines.clocks)}; leave the others out")
-    parsed([layout])
+    _check(machines, prefetch, layout)
     runs = [open_run(each) for each in chosen_sources(sources, folder)]
     case = Case(runs, machines.configs, machines.clocks[0], prefetch, layout, threads)
     with Progress(5 * len(runs) + 1) as bar:
@@ -71,6 +70,18 @@ def report(
         write_out(text, path)
     n = len(runs)
     done(f"{path}: {n} run{'s' * (n != 1)}, {size_text(len(text.encode(errors='replace')))}", began)
+
+
+def _check(machines: Machines, prefetch: str, layout: str) -> None:
+    """Refuse before the work what one of its parts cannot do."""
+    from cachesim.clock.timing import check
+    from cachesim.prefetch import parse_prefetch
+    from cachesim.stack_distance import check_one_pass
+    from nptrace.studies import parsed
+
+    parsed([layout])
+    check_one_pass(parse_prefetch(prefetch))
+    check(machines.configs[:1], machines.clocks, machines.clocks[0].rays)
 
 
 @dataclass(frozen=True)

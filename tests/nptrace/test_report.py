@@ -239,7 +239,7 @@ def test_the_switch_shows_one_tree_and_one_scene(browser, page):
     choose("scene", "")
     choose("tree", "")
     browser.wait("document.documentElement.dataset.drawn === '/'")
-    assert shown(browser, "article") == 3
+    assert shown(browser, "article") == 3 and shown(browser, "[data-chart] svg") == len(page.data["charts"])
     assert browser.troubles == []
 
 
@@ -281,7 +281,7 @@ def test_dark_is_dark_and_light_is_light(browser):
     for scheme, is_dark in (("dark", True), ("light", False)):
         browser.scheme(scheme)
         colour = "#e7e9ec" if is_dark else "#1c1e21"
-        browser.wait(f"document.querySelector('#chart-curves svg text').getAttribute('fill') === '{colour}'")
+        browser.wait(f"document.querySelector('#chart-curves svg text')?.getAttribute('fill') === '{colour}'")
         assert (brightness("body", "backgroundColor") < 60) == is_dark
         assert (brightness("body", "color") > 180) == is_dark
     assert browser.troubles == []
