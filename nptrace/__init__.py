@@ -8,24 +8,11 @@ The functions have the names, the options and the defaults of the commands (docs
 used, so importing this package costs nothing.
 """
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from cachesim.config import CacheConfig as CacheConfig
-    from nptrace.api import compare as compare
-    from nptrace.api import open as open
-    from nptrace.api import render as render
-    from nptrace.api import replay as replay
-    from nptrace.api import sweep as sweep
-    from nptrace.api import table1 as table1
-    from nptrace.api import time as time
-    from nptrace.results import Results as Results
-    from nptrace_base.errors import NptraceError as NptraceError
-    from traces.reader import Run as Run
+from typing import Any
 
 __version__ = "0.1.0"
 
-#: Public names, and the module that defines each.
+#: Public names, and the module that defines each; ``__init__.pyi`` has them for type checkers.
 _PLACES = {
     **dict.fromkeys(("compare", "open", "render", "replay", "sweep", "table1", "time"), "nptrace.api"),
     "CacheConfig": "cachesim.config",

@@ -1,0 +1,13 @@
+from cachesim.config import CacheConfig as CacheConfig
+from nptrace.api import compare as compare
+from nptrace.api import open as open
+from nptrace.api import render as render
+from nptrace.api import replay as replay
+from nptrace.api import sweep as sweep
+from nptrace.api import table1 as table1
+from nptrace.api import time as time
+from nptrace.results import Results as Results
+from nptrace_base.errors import NptraceError as NptraceError
+from traces.reader import Run as Run
+
+__version__: str
