@@ -2,7 +2,8 @@
 
 The main job runs outside the checkout, in a folder (also on PYTHONPATH) with modules named as ours once were; each raises.
 Exit status 1 with one sentence if the wheel puts another name at the top of site-packages, if it does not say that a package
-is typed, if the parts of a report are missing, if a link of its description or of a page in the sdist leads nowhere, or if a command fails.
+is typed, if the parts of a report are missing, if a link of its description or of a page in the sdist leads nowhere, or if a
+command fails.
 """
 
 import json
