@@ -2,7 +2,8 @@
 
 The main job runs outside the checkout, in a folder (also on PYTHONPATH) with modules named as ours once were; each raises.
 Exit status 1 with one sentence if the wheel puts another name at the top of site-packages, if it does not say that a package
-is typed, if a link of its description or of a page in the sdist leads nowhere, or if a command fails.
+is typed, if the parts of a report are missing, if a link of its description or of a page in the sdist leads nowhere, or if a
+command fails.
 """
 
 import json
@@ -45,6 +46,9 @@ def main() -> None:
         untyped = {name for name in TOP - {"cli.py"} if f"{name}/py.typed" not in files}
         if untyped:
             raise SystemExit(f"the wheel has no py.typed in {', '.join(sorted(untyped))}")
+        pages = {f"cachesim/report/page.{ending}" for ending in ("html", "css", "js")}
+        if pages - files:
+            raise SystemExit(f"the wheel lacks {', '.join(sorted(pages - files))}, of which npcache report makes its page")
         run(sys.executable, "-m", "venv", folder / "env", cwd=folder)
         python = folder / "env" / "bin" / "python"
         run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel, cwd=folder)

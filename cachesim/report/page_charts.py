@@ -62,15 +62,17 @@ def _curves() -> dict[str, Any]:
                 "strokeDash": {
                     "field": "prefetching", "title": "prefetching",
                     "scale": {"domain": ["with", "without"], "range": [[1, 0], [5, 4]]},
-                    "legend": {"symbolType": "stroke", "symbolSize": 300, "symbolStrokeColor": "#888888"},
+                    "legend": None,
                 },
                 "detail": [{"field": "layout"}, {"field": "prefetch"}, {"field": "line_bytes"}],
                 "tooltip": hover,
             },
         },
     }  # fmt: skip
-    alt = "Lines: demand miss rate over cache size, with and without prefetching, a panel for each number of ways."
-    return _chart("curves", "sweep", "Miss-rate curves", alt, spec, 2)
+    alt = (
+        "Lines: demand miss rate over cache size, solid with and dashed without prefetching, a panel for each number of ways."
+    )
+    return _chart("curves", "sweep", "Miss-rate curves; dashed: without prefetching", alt, spec, 2)
 
 
 def _account() -> dict[str, Any]:
