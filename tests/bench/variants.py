@@ -5,6 +5,7 @@ Every variant gives the same events as the program, which is checked before it i
 
 import importlib.util
 import inspect
+import re
 import sys
 import tempfile
 from collections.abc import Callable
@@ -17,6 +18,7 @@ import numpy as np
 from rtrace import traverse
 from rtrace.rays import Rays
 from rtrace.traverse import Room
+from rtrace.traversers import common
 from rtrace.trees.tree import Tree
 from tests.bench.measure import ratio, times
 
@@ -98,9 +100,11 @@ VARIANTS = {
 
 
 def kernel_of(name: str, variant: Variant, folder: Path) -> Any:
-    """Return the kernel of a tree's traverser with the variant's changes."""
+    """Return the kernel of a tree's traverser with the variant's changes, in one module with what traversers share."""
     ours = traverse.KERNELS[variant.tree]
-    source = Path(inspect.getfile(inspect.unwrap(ours.py_func))).read_text(encoding="utf-8")
+    own = Path(inspect.getfile(inspect.unwrap(ours.py_func))).read_text(encoding="utf-8")
+    shared = Path(common.__file__).read_text(encoding="utf-8")
+    source = shared + re.sub(r"from rtrace\.traversers\.common import (\([^)]*\)|.*)", "", own)
     for first, last, new in variant.changes:
         start = source.index(first)
         source = source[:start] + new + source[source.index(last, start) + len(last) :]
