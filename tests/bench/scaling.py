@@ -20,7 +20,7 @@ HEADER = ["scene", "pixels a side", "rays", "accesses", "bytes", "render s", "re
 #: Runs a command and prints, as the last line, its CPU seconds without those of its start, and its highest memory in MB.
 _MEASURE = """
 import resource, sys, time
-import cli, jit, pyarrow.parquet, rtrace.render, cachesim.replay
+import cli, nptrace_base.jit, pyarrow.parquet, rtrace.render, cachesim.replay
 before = time.process_time()
 group, *args = sys.argv[1:]
 getattr(cli, group)(args, standalone_mode=False)
