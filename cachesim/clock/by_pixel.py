@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from cachesim.clock.kernel import LOG_BOX, LOG_READ, LOG_TRIANGLES, N_CAUSES
+from cachesim.clock.kernel import N_CAUSES
+from cachesim.clock.log import LOG_BOX, LOG_READ, LOG_TRIANGLES
 from cachesim.clock.parameters import Clock
 from cachesim.clock.state import BOX, CYCLES, HIT, LATE, MISS, TRIANGLE, Rows
 from cachesim.clock.stretches import Stretches

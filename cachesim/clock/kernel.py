@@ -9,45 +9,26 @@ the port.
 import numpy as np
 
 from cachesim.clock.calendar import NEVER, enter, lowest_bit, next_cycle, take_word
+from cachesim.clock.log import LOG_BOX, LOG_READ, LOG_TRIANGLES, note
+from cachesim.clock.memory import after, fill, prefetch, read
 from cachesim.clock.state import (
     BOX,
-    BY_LEAF,
-    BY_LEVEL,
-    BY_RAY,
     CYCLES,
     FREE,
-    HIT,
     IDLE,
-    LATE,
     LEAF,
-    MISS,
     MSHR,
     PORT,
-    T_EVICTED,
-    T_FILLED,
-    T_JOINED,
-    T_LATE,
-    T_MISSES,
-    T_READS,
-    T_REDUNDANT,
-    T_TIMELY,
     TEST,
     TRIANGLE,
     UNIT,
     VISIT,
 )  # fmt: skip
-from cachesim.fast_lru import set_of
 from cachesim.policies import hooks
-from cachesim.policies.machine import FIRST_USE, IN_FLIGHT, LOST, PUSHED_OUT, RESIDENT, UNUSED, first_waiting, stop_waiting
-from cachesim.policies.machine import HIT as FOUND
-from cachesim.policies.machine import MISS as NOT_FOUND
-from cachesim.replacement import insert, refresh
+from cachesim.policies.machine import first_waiting, stop_waiting
 from nptrace_base.jit import inlined, kernel
 from traces.format import LEAF as KIND_LEAF
 from traces.format import PUSH as KIND_PUSH
-
-#: What an entry of the log is about.
-LOG_READ, LOG_BOX, LOG_TRIANGLES, LOG_PREFETCH = map(np.int64, range(4))  # as NumPy's: literals are compiled one by one
 
 N_CAUSES = len(CYCLES)
 
@@ -74,7 +55,7 @@ def run(rows, unit, machine, clock, parameters):
             return False
         now = cycle
         port.now = now
-        _fill(machine, clock, parameters, now)
+        fill(machine, clock, parameters, now)
         if n_slots == 1:
             if slots[0].due <= now:
                 _advance(rows, unit, machine, clock, parameters, np.int64(0), now)
@@ -121,35 +102,6 @@ def _next(machine, clock, parameters, now):
     if (numbers.n_queued > 0 or waiter >= 0) and numbers.in_flight > 0:  # who waits for an MSHR waits for a line
         cycle = min(cycle, max(clock.arrival[clock.flight[numbers.oldest]], now + 1))
     return cycle
-
-
-@inlined
-def _fill(machine, clock, parameters, now):
-    """Install the lines that have arrived."""
-    numbers, status, lists = clock.numbers[0], machine.status, clock.lists
-    while numbers.in_flight > 0:
-        line = clock.flight[numbers.oldest]
-        if clock.arrival[line] > now:
-            break
-        numbers.oldest = _after(numbers.oldest, clock.flight.size)
-        numbers.in_flight -= 1
-        is_prefetched = status[line] & UNUSED
-        status[line] = (status[line] & (255 - IN_FLIGHT)) | RESIDENT
-        victim = insert(lists, set_of(line, lists.n_sets, parameters.mask), line)
-        if victim >= 0:
-            left = status[victim] & (255 - RESIDENT)
-            if left & UNUSED:
-                numbers.evicted += 1
-                if parameters.by:
-                    clock.tally[clock.class_of[victim], T_EVICTED] += 1
-                left = (left & (255 - UNUSED)) | LOST
-            status[victim] = left | PUSHED_OUT if is_prefetched else left
-
-
-@inlined
-def _after(place, size):
-    """Return the place after one in a ring."""
-    return place + 1 if place + 1 < size else np.int64(0)
 
 
 @inlined
@@ -209,7 +161,7 @@ def _test_cycles(parameters, n_prims):
 @inlined
 def _count_test(clock, slot, start, took):
     clock.cycles[TRIANGLE] += took
-    _note(clock, start, took, slot, LOG_TRIANGLES, clock.slots[slot].last_node, clock.slots[slot].number)
+    note(clock, start, took, slot, LOG_TRIANGLES, clock.slots[slot].last_node, clock.slots[slot].number)
 
 
 @inlined
@@ -325,7 +277,7 @@ def _use_port(unit, machine, clock, parameters, now):
         if ray.seen < 0:
             ray.seen = now
             clock.cycles[PORT] += now - ray.since
-        if not _read(unit, machine, clock, parameters, slot, line, now):
+        if not read(unit, machine, clock, parameters, slot, line, now):
             port.blocked = -1
             return
         clock.cycles[MSHR] += now - ray.seen
@@ -334,12 +286,12 @@ def _use_port(unit, machine, clock, parameters, now):
         free -= 1
         if ray.lines_done < machine.tree.n_lines[ray.last_node]:
             continue
-        numbers.queue_head = _after(numbers.queue_head, clock.queue.size)
+        numbers.queue_head = after(numbers.queue_head, clock.queue.size)
         numbers.n_queued -= 1
         clock.cycles[ray.data_from] += ray.data_at - now
         clock.cycles[BOX] += parameters.box
-        _note(clock, now, ray.data_at - now, slot, LOG_READ, ray.last_node, ray.number * N_CAUSES + ray.data_from)
-        _note(clock, ray.data_at, parameters.box, slot, LOG_BOX, ray.last_node, ray.number)
+        note(clock, now, ray.data_at - now, slot, LOG_READ, ray.last_node, ray.number * N_CAUSES + ray.data_from)
+        note(clock, ray.data_at, parameters.box, slot, LOG_BOX, ray.last_node, ray.number)
         _after_box(machine, clock, parameters, slot, now, ray.data_at + parameters.box)
     port.blocked = -1  # not before: what a read drops had waited for the MSHR until now
     while free > 0:
@@ -353,7 +305,7 @@ def _use_port(unit, machine, clock, parameters, now):
         line, n_lines = hooks.as_line(wanted), np.int64(1)
         if wanted >= 0:
             line, n_lines = np.int64(machine.tree.first_line[wanted]), np.int64(machine.tree.n_lines[wanted])
-        if not _prefetch(machine, clock, parameters, slot, wanted, line + machine.lines_asked[slot], now):
+        if not prefetch(machine, clock, parameters, slot, wanted, line + machine.lines_asked[slot], now):
             port.blocked = slot
             return
         machine.last_issue[slot] = now
@@ -363,139 +315,3 @@ def _use_port(unit, machine, clock, parameters, now):
             machine.lines_asked[slot] = 0
             port.issued += 1
             hooks.requested(unit, machine, slot)
-
-
-@inlined
-def _read(unit, machine, clock, parameters, slot, line, now):
-    """Look up a line of a demand read; return False if it needs an MSHR and none is free."""
-    status, numbers, ray = machine.status, clock.numbers[0], clock.slots[slot]
-    state, of_read = status[line], T_READS
-    hit_at = now + parameters.hit
-    ready, cause, outcome = hit_at, HIT, FOUND
-    if parameters.is_perfect:
-        numbers.hits += 1
-    elif state & (RESIDENT | IN_FLIGHT):
-        if state & IN_FLIGHT:
-            ready = max(hit_at, clock.arrival[line])
-        else:
-            refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)
-        if state & UNUSED:
-            status[line] = state & (255 - UNUSED)
-            outcome = FIRST_USE
-            numbers.saved += now + parameters.miss - ready
-            numbers.waited += ready - hit_at
-            if ready > hit_at:
-                numbers.late += 1
-                cause = LATE
-                _tally(clock, parameters, line, T_LATE)
-            else:
-                numbers.timely += 1
-                numbers.hits += 1
-                _tally(clock, parameters, line, T_TIMELY)
-        elif ready > hit_at:
-            numbers.joined_by_demand += 1
-            cause, of_read = MISS, T_MISSES
-        else:
-            numbers.hits += 1
-    else:
-        if numbers.in_flight == parameters.mshrs:
-            return False
-        numbers.pollution += np.int64(state & PUSHED_OUT != 0)
-        numbers.misses += 1
-        of_read = T_MISSES
-        ready, cause, outcome = _ask_memory(machine, clock, parameters, line, now), MISS, NOT_FOUND
-    if parameters.by:
-        of = _class_of(machine, clock, parameters, slot, ray.last_node, T_READS)
-        clock.tally[of, T_READS] += 1
-        if of_read == T_MISSES:
-            clock.tally[of, T_MISSES] += 1
-    if ready > ray.data_at:
-        ray.data_at, ray.data_from = ready, cause
-    hooks.on_visit(unit, machine, slot, line, outcome)
-    return True
-
-
-@inlined
-def _prefetch(machine, clock, parameters, slot, wanted, line, now):
-    """Look up a line for a prefetch; return False if it needs an MSHR and none is free."""
-    state, numbers, found = machine.status[line], clock.numbers[0], T_FILLED
-    if parameters.is_perfect:
-        numbers.redundant += 1
-        found = T_REDUNDANT
-    elif state & RESIDENT:
-        refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)
-        numbers.redundant += 1
-        found = T_REDUNDANT
-    elif state & IN_FLIGHT:
-        numbers.joined += 1
-        found = T_JOINED
-    else:
-        if numbers.in_flight == parameters.mshrs:
-            return False
-        numbers.filled += 1
-        _ask_memory(machine, clock, parameters, line, now)
-        machine.status[line] |= UNUSED
-    if parameters.by:
-        of = _class_of(machine, clock, parameters, slot, wanted, found)
-        clock.tally[of, found] += 1
-        if found == T_FILLED:
-            clock.class_of[line] = of
-    _note(clock, now, np.int64(1), slot, LOG_PREFETCH, line, np.int64(-1))
-    return True
-
-
-@inlined
-def _tally(clock, parameters, line, what):
-    """Count what became of a line, by the prefetch that filled it."""
-    if parameters.by:
-        clock.tally[clock.class_of[line], what] += 1
-
-
-@kernel(_nrt=False)
-def _class_of(machine, clock, parameters, slot, node, what):
-    """Return the class of a read, or of a request, of a node; ``node`` is negative for a request of a line.
-
-    A request by a unit that all rays share is of the class of slot 0's ray; reads have no place on the stack and no leaf:
-    class 0.
-    """
-    own = min(slot, machine.sp.size - 1)
-    if parameters.by == BY_LEVEL:
-        return np.int64(machine.tree.level[node]) if node >= 0 else np.int64(0)
-    if parameters.by == BY_RAY:
-        return clock.slots[own].type
-    if what == T_READS:
-        return np.int64(0)
-    if parameters.by == BY_LEAF:
-        is_testing = clock.slots[own].last_kind == KIND_LEAF and clock.slots[own].event == VISIT
-        return np.int64(machine.tree.n_prims[clock.slots[own].last_node]) if is_testing else np.int64(0)
-    for place in range(machine.sp[own]):
-        if machine.stack[own, machine.sp[own] - 1 - place] == node:
-            return np.int64(place)
-    return np.int64(machine.stack.shape[1])
-
-
-@inlined
-def _ask_memory(machine, clock, parameters, line, now):
-    """Request a line from memory through an MSHR that is free; return when it arrives."""
-    numbers = clock.numbers[0]
-    numbers.wanted_again += np.int64(machine.status[line] & LOST != 0)
-    arrival = max(now + parameters.miss, numbers.bus_free + parameters.transfer)
-    numbers.bus_free = arrival
-    place = numbers.oldest + numbers.in_flight
-    clock.flight[place if place < clock.flight.size else place - clock.flight.size] = line
-    numbers.in_flight += 1
-    clock.arrival[line] = arrival
-    machine.status[line] = IN_FLIGHT
-    return arrival
-
-
-@inlined
-def _note(clock, cycle, length, slot, what, node, number):
-    """Keep an event for the timeline."""
-    if clock.log.shape[0] == 0 or clock.numbers[0].next_ray < clock.log_from:
-        return
-    n = clock.numbers[0].n_logged
-    if n < clock.log.shape[0]:
-        clock.log[n, 0], clock.log[n, 1], clock.log[n, 2] = cycle, length, slot
-        clock.log[n, 3], clock.log[n, 4], clock.log[n, 5] = what, node, number
-        clock.numbers[0].n_logged = n + 1

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from cachesim.clock.kernel import LOG_BOX, LOG_PREFETCH, LOG_READ, LOG_TRIANGLES
+from cachesim.clock.log import LOG_BOX, LOG_PREFETCH, LOG_READ, LOG_TRIANGLES
 from cachesim.clock.parameters import Clock
 from cachesim.clock.state import CYCLES
 from cachesim.clock.timing import Workshop

@@ -5,7 +5,9 @@
 
 from tests.mutations.mutation import Mutation
 
-KERNEL, CALENDAR, TIMING, STRETCHES = (f"cachesim/clock/{name}.py" for name in ("kernel", "calendar", "timing", "stretches"))
+KERNEL, MEMORY, CALENDAR, TIMING, STRETCHES = (
+    f"cachesim/clock/{name}.py" for name in ("kernel", "memory", "calendar", "timing", "stretches")
+)
 MODEL, WORKED, LAWS, EQUATION = (f"tests/cachesim/clock/test_{name}.py" for name in ("clock_model", "worked", "laws", "equation_1"))
 STACK, PUSH, TTP, NEXT, STRIDE, TREELET, ORACLE, PREDICTOR = (f"tests/cachesim/policies/test_{name}.py" for name in ("stack", "push", "ttp", "next_line", "stride", "treelet", "oracle", "predictor"))
 UNTIMED, NEEDS, FOREIGN = (f"tests/cachesim/policies/test_{name}.py" for name in ("untimed", "needs_clock", "foreign"))
@@ -17,26 +19,26 @@ def policy(name):
 
 MUTATIONS = [
     # The kernel
-    Mutation("clock: a line arrives a cycle late", KERNEL, "if clock.arrival[line] > now:", "if clock.arrival[line] >= now:", WORKED),
+    Mutation("clock: a line arrives a cycle late", MEMORY, "if clock.arrival[line] > now:", "if clock.arrival[line] >= now:", WORKED),
     Mutation("clock: prefetches go before reads that wait", KERNEL, "while free > 0 and numbers.n_queued > 0:\n        slot = clock.queue", "while free > 0 and numbers.n_queued > 0 and first_waiting(machine) < 0:\n        slot = clock.queue", STACK),
-    Mutation("clock: a read that joins a line waits for a whole miss", KERNEL, "ready = max(hit_at, clock.arrival[line])", "ready = now + parameters.miss", WORKED),
-    Mutation("clock: a hit refreshes nothing", KERNEL, "        else:\n            refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)\n        if state & UNUSED:", "        if state & UNUSED:", MODEL),
-    Mutation("clock: a redundant prefetch refreshes nothing", KERNEL, "    elif state & RESIDENT:\n        refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)\n", "    elif state & RESIDENT:\n", STACK),
-    Mutation("clock: the last MSHR is kept from prefetches", KERNEL, "        found = T_JOINED\n    else:\n        if numbers.in_flight == parameters.mshrs:\n            return False\n", "        found = T_JOINED\n    else:\n        if numbers.in_flight == parameters.mshrs - 1:\n            return False\n", STACK),
-    Mutation("clock: memory delivers lines back to back", KERNEL, "numbers.bus_free + parameters.transfer)", "numbers.bus_free)", MODEL),
+    Mutation("clock: a read that joins a line waits for a whole miss", MEMORY, "ready = max(hit_at, clock.arrival[line])", "ready = now + parameters.miss", WORKED),
+    Mutation("clock: a hit refreshes nothing", MEMORY, "        else:\n            refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)\n        if state & UNUSED:", "        if state & UNUSED:", MODEL),
+    Mutation("clock: a redundant prefetch refreshes nothing", MEMORY, "    elif state & RESIDENT:\n        refresh(clock.lists, set_of(line, clock.lists.n_sets, parameters.mask), line)\n", "    elif state & RESIDENT:\n", STACK),
+    Mutation("clock: the last MSHR is kept from prefetches", MEMORY, "        found = T_JOINED\n    else:\n        if numbers.in_flight == parameters.mshrs:\n            return False\n", "        found = T_JOINED\n    else:\n        if numbers.in_flight == parameters.mshrs - 1:\n            return False\n", STACK),
+    Mutation("clock: memory delivers lines back to back", MEMORY, "numbers.bus_free + parameters.transfer)", "numbers.bus_free)", MODEL),
     Mutation("clock: the intersection unit is free when the first triangle is done", KERNEL, "np.int64(tree.n_prims[ray.last_node]) * parameters.every)", "np.int64(1) * parameters.every)", MODEL),
     Mutation("clock: triangles of a leaf are tested at once", KERNEL, "return (n_prims - 1) * parameters.every + parameters.triangle", "return parameters.triangle", WORKED),
     Mutation("clock: a shadow ray starts with its primary ray", KERNEL, "if other != slot and clock.slots[other].number == primary and", "if other == slot and clock.slots[other].number == primary and", MODEL),
     Mutation("clock: a shadow ray starts in the cycle after next", KERNEL, "        _schedule(clock, waiter, now, now + 1)\n", "        _schedule(clock, waiter, now, now + 2)\n", MODEL),
     Mutation("clock: a waiting MSHR counts as the port", KERNEL, "clock.cycles[MSHR] += now - ray.seen", "clock.cycles[PORT] += now - ray.seen", MODEL),
     Mutation("clock: the cycles before a ray's start are lost", KERNEL, "    clock.cycles[IDLE] += now - ray.since\n    ray.since = now\n    hooks", "    ray.since = now\n    hooks", MODEL),
-    Mutation("clock: a late prefetch saves a whole miss", KERNEL, "numbers.saved += now + parameters.miss - ready", "numbers.saved += parameters.miss", WORKED),
-    Mutation("clock: a used line that is evicted counts as lost", KERNEL, "            status[line] = state & (255 - UNUSED)\n", "", LAWS + " -k issued"),
-    Mutation("clock: every eviction is pollution", KERNEL, "status[victim] = left | PUSHED_OUT if is_prefetched else left", "status[victim] = left | PUSHED_OUT", STACK),
+    Mutation("clock: a late prefetch saves a whole miss", MEMORY, "numbers.saved += now + parameters.miss - ready", "numbers.saved += parameters.miss", WORKED),
+    Mutation("clock: a used line that is evicted counts as lost", MEMORY, "            status[line] = state & (255 - UNUSED)\n", "", LAWS + " -k issued"),
+    Mutation("clock: every eviction is pollution", MEMORY, "status[victim] = left | PUSHED_OUT if is_prefetched else left", "status[victim] = left | PUSHED_OUT", STACK),
     Mutation("clock: prefetches go on after the last ray", KERNEL, "        if rows.is_last and numbers.n_ended == n_rays:\n            break\n", "", TREELET),
     Mutation("clock: entries beyond the hit stay on the stack", KERNEL, "while parameters.skips and machine.stack[slot, height] != node:", "while False:", MODEL + " " + STACK),
-    Mutation("clock: the cache of the bound has misses", KERNEL, "    if parameters.is_perfect:\n        numbers.hits += 1\n", "    if parameters.is_perfect and state:\n        numbers.hits += 1\n", LAWS + " -k perfect"),
-    Mutation("clock: hits take a cycle more", KERNEL, "hit_at = now + parameters.hit\n", "hit_at = now + parameters.hit + 1\n", EQUATION),
+    Mutation("clock: the cache of the bound has misses", MEMORY, "    if parameters.is_perfect:\n        numbers.hits += 1\n", "    if parameters.is_perfect and state:\n        numbers.hits += 1\n", LAWS + " -k perfect"),
+    Mutation("clock: hits take a cycle more", MEMORY, "hit_at = now + parameters.hit\n", "hit_at = now + parameters.hit + 1\n", EQUATION),
     # The calendar
     Mutation("calendar: slots beyond 31 are shown as others", CALENDAR, "np.uint64(slot & 63)", "np.uint64(slot & 31)", "tests/cachesim/clock/test_calendar.py"),
     Mutation("calendar: the rest of today's word is not looked at", CALENDAR, "    if bits:\n        return now + 1 + lowest_bit(bits)\n", "", MODEL),
