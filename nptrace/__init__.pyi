@@ -1,5 +1,6 @@
 from cachesim.config import CacheConfig as CacheConfig
 from nptrace.api import compare as compare
+from nptrace.api import estimate as estimate
 from nptrace.api import open as open
 from nptrace.api import render as render
 from nptrace.api import replay as replay

@@ -4,10 +4,11 @@ Each has the options and defaults of the command of its name (``three_c`` is ``-
 (``nptrace.studies``). A wrong value raises NptraceError with the sentence that the command prints. Notes go to stderr.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 
+from nptrace.plans import Given, MachineOptions, estimate_plan, listed, machines_plan, replay_plan, sweep_plan, time_plan
 from nptrace.progress import Progress
 from nptrace.results import Results
 from nptrace.studies import Where
@@ -15,16 +16,10 @@ from nptrace_base.errors import NptraceError
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:
-    from cachesim.config import CacheConfig
-    from nptrace.clock_options import Machines
     from rtrace.scenes.scene import Scene
 
-#: An option with a value, or several: 8192, "8K", "8K,16K", "4K..64K", ["8K", 16384].
-Given = str | int | Sequence[str | int]
 #: Runs, and places of runs, folders of runs or traces.
 Sources = Where | Iterable[Where]
-
-_T = TypeVar("_T")
 
 
 class RenderOptions(TypedDict, total=False):
@@ -187,21 +182,6 @@ def sweep(
     return Results("sweep", [row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
 
 
-class MachineOptions(TypedDict, total=False):
-    """The numbers of a machine, each one or several; those of the machine ``paper`` if left out (``npcache time --help``)."""
-
-    hit: Given
-    miss: Given
-    rays: Given
-    ports: Given
-    mshrs: Given
-    bandwidth: Given
-    box: Given
-    triangle: Given
-    every: Given
-    units: Given
-
-
 def time(
     sources: Sources = (), /, *, traces: Path | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "stack", layout: Given = "stored",
@@ -250,11 +230,61 @@ def compare(
     from nptrace.clock_options import one_machine
     from nptrace.studies import compared
 
-    config, clock = one_machine(_machines(machine, size, ways, line, policy, seed, numbers))
+    config, clock = one_machine(machines_plan(machine, size, ways, line, policy, seed, numbers))
     policies, chosen = listed("prefetch", prefetch, str), _chosen(sources, traces)
     with Progress(len(chosen)) as bar:
         rows = compared(chosen, config, clock, policies, layout, bar, baselines=baselines, threads=threads)
     return Results("compare", [row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
+
+
+def estimate(
+    *scenes: "str | Path | Scene", accel: Given = (), size: Given = "8K", ways: Given = "1", line: Given = "32",
+    policy: Given = "lru", layout: Given = "stored", is_table1: bool = False, target_error: str = "2%,0.05pp",
+    exact_below: int = 100_000_000, resume: Path | str | None = None, pixels: str = "2048x2048",
+    camera: str | Sequence[str] | None = None, light: str | None = None, order: str = "scanline", batch: int = 1,
+    seed: int = 0, kd: str = "", bvh: str = "sweep", bvh_nodes: Given = 32, threads: int | None = None,
+    strict: bool = False, offline: bool = False,
+) -> Results:  # fmt: skip
+    """Estimate the miss rates of large pictures from part of their rays, as ``npcache estimate`` does; no run is written.
+
+    Parameters
+    ----------
+    scenes, accel, pixels, camera, light, order, batch, kd, bvh, bvh_nodes
+        As those of ``render``.
+    size, ways, line, policy, layout
+        As those of ``replay``; lru alone can be estimated.
+    is_table1 : bool
+        Take the four caches of Table I.
+    target_error : str
+        Half-width allowed for every miss rate: relative (``"2%"``), in percentage points (``"0.05pp"``), or the wider of both.
+    exact_below : int
+        Runs of up to so many predicted accesses are counted exactly.
+    resume : Path, optional
+        Keep the counts of one run in this file, and continue from it if it exists.
+    seed : int
+        Of the sample, and of the random order.
+
+    Returns
+    -------
+    Results
+        One row per run, with its caches in ``cells``.
+    """
+    from cachesim.report import estimate_tables
+    from nptrace.estimates import Sampling, estimate_scenes
+    from nptrace.scene_options import Picture, Trees, load_scenes, parse_tree
+
+    configs, _, layouts = estimate_plan(size, ways, line, policy, layout, is_table1=is_table1)
+    cameras = [camera] if isinstance(camera, str) else list(camera or ())
+    trees = Trees(listed("accel", accel, parse_tree), kd, bvh, tuple(listed("bvh_nodes", bvh_nodes, str)))
+    sampling = Sampling(target_error, exact_below, threads, None if resume is None else Path(resume))
+    if not scenes:
+        raise NptraceError("no scene is given; name a mesh file or a scene, e.g. estimate('sponza')")
+    named = [str(each) if isinstance(each, Path) else each for each in scenes]
+    seen = load_scenes(named, strict, offline, cameras, light)
+    found = [result for *_, result in estimate_scenes(
+        seen, trees, configs, Picture(pixels, order, batch, seed), sampling, layouts
+    )]  # fmt: skip
+    return Results("estimate", estimate_tables.records(found, "json"), lambda: estimate_tables.tables(found))
 
 
 def table1(
@@ -270,93 +300,6 @@ def table1(
     with Progress() as bar:
         rows = table1_rows(table1_runs(runs, traces), bar, policy=policy, layout=layout, threads=threads)
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
-
-
-class OptionError(NptraceError):
-    """A wrong value of the option ``name``."""
-
-    def __init__(self, name: str, sentence: object) -> None:
-        super().__init__(f"{name}: {sentence}")
-        self.name = name
-
-
-Plan = tuple[list["CacheConfig"], list[str], list[str]]
-
-
-def replay_plan(
-    size: Given, ways: Given, line: Given, policy: Given, seed: int, prefetch: Given, layout: Given
-) -> Plan:  # fmt: skip
-    """Return the caches, prefetch policies and layouts that the options of ``replay`` name."""
-    from cachesim.grid import caches, parse_ways_range
-
-    parsed = _sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
-    return caches(*parsed, seed), _prefetches(prefetch), _layouts(layout)
-
-
-def sweep_plan(size: Given, ways: Given, line: Given, prefetch: Given, layout: Given) -> Plan:
-    """Return the caches, prefetch policies and layouts that the options of ``sweep`` name."""
-    from cachesim.grid import grid, parse_range, parse_ways_range
-
-    numbers = [number for named in listed("ways", ways, parse_ways_range) for number in named]
-    return grid(listed("size", size, parse_range), numbers, _lines(line)), _prefetches(prefetch), _layouts(layout)
-
-
-def time_plan(
-    machine: str, size: Given, ways: Given, line: Given, policy: Given, seed: int, prefetch: Given, layout: Given,
-    **numbers: Unpack[MachineOptions],
-) -> "tuple[Machines, list[str], list[str]]":  # fmt: skip
-    """Return the machines, prefetch policies and layouts that the options of ``time`` name."""
-    return _machines(machine, size, ways, line, policy, seed, numbers), _prefetches(prefetch), _layouts(layout)
-
-
-def listed(name: str, value: Any, item: Callable[[str], _T]) -> list[_T]:
-    """Return the values of an option, each once, as the command reads them from text."""
-    values = [value] if isinstance(value, (str, int)) else list(value)
-    texts = [text for each in values for text in str(each).split(",")]
-    try:
-        return list(dict.fromkeys(item(text) for text in texts))
-    except NptraceError as e:
-        raise OptionError(name, e) from e
-
-
-def _prefetches(value: Given) -> list[str]:
-    from cachesim.prefetch import parse_prefetch
-
-    return listed("prefetch", value, lambda text: str(parse_prefetch(text)))
-
-
-def _layouts(value: Given) -> list[str]:
-    from cachesim.layout import parse_layout
-
-    return listed("layout", value, lambda text: str(parse_layout(text)))
-
-
-def _sizes(value: Given) -> list[int]:
-    from cachesim.grid import parse_sizes
-
-    found = listed("size", value, lambda text: tuple(parse_sizes(text)))
-    return list(dict.fromkeys(size for sizes in found for size in sizes))
-
-
-def _lines(value: Given) -> list[int]:
-    from cachesim.config import parse_bytes
-
-    return listed("line", value, parse_bytes)
-
-
-def _machines(
-    machine: str, size: Given, ways: Given, line: Given, policy: Given, seed: int, numbers: MachineOptions
-) -> "Machines":  # fmt: skip
-    from cachesim.clock.parameters import NUMBERS
-    from cachesim.grid import parse_ways_range
-    from nptrace.clock_options import machines_of, parse_number
-
-    for name in numbers:
-        if name not in NUMBERS:
-            raise NptraceError(f"a machine has no number {name}; its numbers are {', '.join(NUMBERS)}")
-    given: dict[str, Sequence[int]] = {name: listed(name, value, parse_number) for name, value in numbers.items()}
-    parsed = _sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
-    return machines_of(machine, given, *parsed, seed)
 
 
 def _chosen(sources: Any, folder: Path | str) -> list[Where]:

@@ -15,8 +15,8 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nptrace import api
-from nptrace.api import OptionError, listed
+from nptrace import api, plans
+from nptrace.plans import OptionError, listed
 from nptrace.progress import Progress
 from nptrace.scene_options import load_scenes, parse_tree, tree_params
 from nptrace_base.errors import NptraceError
@@ -155,7 +155,7 @@ def _try(where: "_Lines", study: Study) -> None:
 def _plan(name: str, values: Mapping[str, Any]) -> Any:
     """Return the caches or machines, the prefetch policies and the layouts of a section."""
     given = {key: value for key, value in values.items() if key != "three_c" and value is not None}
-    plan: Callable[..., Any] = getattr(api, f"{name}_plan")
+    plan: Callable[..., Any] = getattr(plans, f"{name}_plan")
     return plan(**given)
 
 

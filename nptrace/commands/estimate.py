@@ -3,66 +3,17 @@
 import shlex
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import product
-from pathlib import Path
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import click
 
-from cachesim.config import CacheConfig, parse_bytes
-from nptrace.groups import BadInput
+from cachesim.config import parse_bytes
+from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.options import Caches, gathered, list_option, size_option, threads_option, ways_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import Progress, done
+from nptrace.progress import done
 from nptrace.scene_options import Picture, Scenes, Trees, ray_options, scene_options, tree_options
 from nptrace.sources import LAYOUT_HELP
-
-if TYPE_CHECKING:
-    from cachesim.sampling.estimate import Estimated
-    from rtrace.scenes.scene import Scene
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """The values of the options of a sample."""
-
-    error: str
-    exact_below: int = 100_000_000
-    threads: int | None = None
-    resume: Path | None = None
-
-
-def estimate_scenes(
-    scenes: "Sequence[Scene]", trees: Trees, configs: Sequence[CacheConfig], picture: Picture, sampling: Sampling,
-    layouts: Sequence[str] = ("stored",),
-) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
-    """Estimate every scene with every tree and layout; return (tree, scene, result) of each."""
-    from cachesim.sampling.estimate import estimate as estimate_source
-    from cachesim.sampling.target import parse_target
-    from rtrace.ray_source import RayUnits
-    from rtrace.trees.tree_cache import cached_tree
-
-    target, params = parse_target(sampling.error), trees.params()
-    # The seed is also that of the sample, and must not change a run of another order.
-    shooting = (picture if picture.order == "random" else replace(picture, seed=0)).shooting()
-    n_jobs = len(scenes) * len(params) * len(layouts)
-    if sampling.resume is not None and n_jobs > 1:
-        raise BadInput(f"--resume {sampling.resume} keeps the counts of one run; name one SCENE, one --accel and one --layout")
-    found = []
-    with Progress(n_jobs) as bar:
-        for scene in scenes:
-            for (kind, given), layout in product(params.items(), layouts):
-                bar.job(f"{scene.label} {kind}")
-                bar.phase("build")
-                source = RayUnits(scene, cached_tree(scene, kind, **given), shooting)
-                result = estimate_source(
-                    source, configs, target, layout=layout, seed=picture.seed, threads=sampling.threads,
-                    exact_below=sampling.exact_below, resume=sampling.resume, progress=bar.phase("estimate", None),
-                )  # fmt: skip
-                found.append((kind, scene, result))
-    return found
 
 
 @click.command()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from nptrace.commands.estimate import Sampling, estimate_scenes
+from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say

@@ -18,7 +18,7 @@ from cachesim.clock.parameters import NUMBERS
 from tests.nptrace.test_terminal import inputs
 
 ROOT = Path(cli.__file__).resolve().parent
-FUNCTIONS = {"render": cli.nptrace, **dict.fromkeys(("replay", "sweep", "time", "compare", "table1"), cli.npcache)}
+FUNCTIONS = {"render": cli.nptrace, **dict.fromkeys(("replay", "sweep", "time", "compare", "estimate", "table1"), cli.npcache)}
 #: Options of output, and of an estimated Table I, which is a command of its own.
 NOT_OF_FUNCTIONS = {
     "form", "as_json", "output_path", "is_wide", "version", "quiet", "verbose", "help", "picture", "timeline", "error"
@@ -55,10 +55,16 @@ def plain(default):
     return tuple(map(str, default)) if isinstance(default, (list, tuple)) else (str(default),)
 
 
+def options_of_error(command):
+    return next(param for param in command.params if param.name == "error")
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_a_function_has_the_options_and_defaults_of_its_command(name):
     command = FUNCTIONS[name].commands[name]
     options = {CALLED.get(param.name, param.name): param for param in command.params if param.name not in NOT_OF_FUNCTIONS}
+    if name == "estimate":
+        options = {**options, "target_error": options_of_error(command)}
     if name == "table1":
         options = {key: value for key, value in options.items() if key not in ("pixels", "seed")}
     parameters = inspect.signature(getattr(nt, name)).parameters
@@ -92,6 +98,18 @@ def test_the_rows_are_those_of_the_command(folder, call, args):
     text = CliRunner().invoke(group, [name, *args.split()[1:], *(["--format", "table"] if name == "sweep" else [])]).stdout
     assert str(results) == text.rstrip("\n")
     assert results.to_arrow().column_names == list(results[0])
+
+
+def test_estimate_is_the_command(folder):
+    def without_times(rows):
+        return [{name: value for name, value in row.items() if "seconds" not in name} for row in rows]
+
+    results = nt.estimate("blob", accel="bvh", pixels="32x32", size=["1K", "2K"], exact_below=10**6)
+    args = "estimate blob --accel bvh --pixels 32x32 --size 1K,2K --exact-below 1000000"
+    assert without_times(results) == without_times(printed(*args.split()))
+    assert [cell["size_bytes"] for cell in results[0]["cells"]] == [1024, 2048]
+    of_table1 = nt.estimate("blob", accel="bvh", pixels="32x32", is_table1=True)
+    assert len(of_table1[0]["cells"]) == 4
 
 
 def test_render_is_the_command(folder):
@@ -164,6 +182,10 @@ def test_a_cache_is_written_as_a_paper_writes_it():
         (lambda: nt.render("blob", bvh="fast"), "'fast' is neither"),
         (lambda: nt.render("blob", bvh_nodes=48), "bvh_nodes: '48'"),
         (lambda: nt.render("blob", name=["a", "b"]), "there are 2 --name for 1 picture"),
+        (lambda: nt.estimate(), "no scene is given"),
+        (lambda: nt.estimate("blob", policy="fifo"), "lru"),
+        (lambda: nt.estimate("blob", target_error="often"), "'often'"),
+        (lambda: nt.estimate("blob", resume="counts", accel=["bvh", "kdtree"]), "keeps the counts of one run"),
         (lambda: nt.replay(size="x"), "size: 'x' is not a size"),
         (lambda: nt.replay(policy="mru"), "'mru' is not a replacement policy"),
         (lambda: nt.replay(traces="nosuch"), "there is no run in nosuch"),
