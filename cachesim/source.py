@@ -17,7 +17,7 @@ from traces.din import DinTrace
 from traces.format import printable
 from traces.identity import RunIdentity
 from traces.reader import Run, open_run
-from traces.stream import STDIN
+from traces.stream import STDIN, Stream
 
 #: Events per batch: their arrays fit into a core's share of the last-level cache.
 BATCH = 1 << 18
@@ -45,7 +45,8 @@ def open_source(path: Path | str, layout: Layout | str = "stored") -> Source:
     """Open a run's directory, a trace of addresses in CSV or Parquet, or DineroIV's: a file, a pipe, or - for stdin."""
     path = Path(path)
     if not path.is_dir() and (path == STDIN or path.exists() or path.suffix == ".din"):
-        return DinSource(AddressFile(path) if is_address_file(path) else DinTrace(path), layout)
+        stream = Stream(path)
+        return DinSource(AddressFile(stream) if is_address_file(stream) else DinTrace(stream), layout)
     return RunSource(open_run(path), layout)
 
 

@@ -30,27 +30,34 @@ _TYPES = {
     "read": 0x0, "fetch": 0x2, "misc": 0x3, "prefetch": 0xB, "b": 0xB, "11": 0xB, "0": 0x0, "2": 0x2, "3": 0x3,
     "1": 0x1, "write": 0x1, "4": 0x4, "5": 0x5, "8": 0x8,
 }  # fmt: skip
+_PARQUET = b"PAR1"  # how a Parquet file begins
 _CHUNK_BYTES = 1 << 20
 _ROWS = 1 << 18
 _INTEGER = r"^\s*(0[xX][0-9a-fA-F]{1,15}|[0-9]{1,18})\s*$"
 
 
-def is_address_file(path: Path) -> bool:
-    """Return whether the name of a file says that it is such a trace."""
-    return path.name.lower().endswith(ENDINGS)
+def is_address_file(stream: Stream) -> bool:
+    """Return whether a file is such a trace: by the end of its name, else by its header, which a pipe has too."""
+    if stream.name.lower().endswith(ENDINGS):
+        return True
+    head = stream.head()
+    return head.startswith(_PARQUET) or "address" in _names(head.removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0])
 
 
 class AddressFile:
-    """A trace of addresses in CSV or Parquet, with the methods of ``DinTrace``. It is read in pieces."""
+    """A trace of addresses in CSV or Parquet, with the methods of ``DinTrace``.
 
-    def __init__(self, path: Path | str) -> None:
-        self._path = Path(path)
-        self.stream = Stream(path)
+    It is read in pieces, except Parquet from a pipe, whose end has to be known first.
+    """
+
+    def __init__(self, stream: Stream) -> None:
+        self.stream = stream
 
     def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray | int, np.ndarray]]:
         """Yield (address uint32, size in bytes, access type uint8); the size is 1 where the file has none."""
         n = 0
-        tables = self._parquet() if self._path.name.lower().endswith(".parquet") else self._csv()
+        is_parquet = self.stream.name.lower().endswith(".parquet") or self.stream.head().startswith(_PARQUET)
+        tables = self._parquet() if is_parquet else self._csv()
         for table in tables:
             if table.num_rows:
                 yield self._checked(table, n)
@@ -60,7 +67,7 @@ class AddressFile:
 
     def _parquet(self) -> Iterator[Any]:
         try:
-            with self._path.open("rb") as file:  # by Python: Arrow opens only names that are UTF-8
+            with self.stream.opened() as file:
                 found = pq.ParquetFile(file)
                 names = self._columns(found.schema_arrow.names)
                 for batch in found.iter_batches(_ROWS, columns=names):

@@ -46,8 +46,8 @@ class DinError(StreamError):
 class DinTrace:
     """A DineroIV trace in a file, a pipe or stdin (``-``). It is read in chunks, so memory does not grow with its length."""
 
-    def __init__(self, path: Path | str) -> None:
-        self.stream = Stream(path)
+    def __init__(self, source: Stream | Path | str) -> None:
+        self.stream = source if isinstance(source, Stream) else Stream(source)
 
     def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray | int, np.ndarray]]:
         """Yield (address uint32, size in bytes, access type uint8); the size is one number for text, an array for binary."""

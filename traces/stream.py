@@ -4,6 +4,7 @@ import bz2
 import gzip
 import io
 import lzma
+import os
 import sys
 import weakref
 import zlib
@@ -62,6 +63,21 @@ class Stream:
         except OSError:  # it claims to be seekable, as terminals do, and is not
             self._start = None
         self._n_passes = 0
+        self._head: bytes | None = None  # read before the first pass
+
+    def head(self) -> bytes:
+        """Return the first bytes, decompressed as far as they go, without taking them from the first pass."""
+        if self._head is None:
+            try:
+                if self._start is not None:
+                    self._file.seek(self._start)
+                self._head = _read_fully(self._file, _HEAD)
+            except OSError as e:
+                raise StreamError(f"cannot read {self.where}: {e.strerror}") from e
+        try:
+            return _unpacked(io.BufferedReader(_HeadFirst(self._head, io.BytesIO())), _packing(self._head)).read(_HEAD // 8)
+        except _UNPACKING:  # they end within a block
+            return b""
 
     def check_passes(self, n_passes: int) -> None:
         """Raise a StreamError if the bytes cannot be read ``n_passes`` times."""
@@ -70,6 +86,18 @@ class Stream:
                 f"{self.where} is a pipe, and this command reads it {n_passes} times; write it to a file first, or use one "
                 "prefetch policy and no opt"
             )
+
+    def opened(self) -> Any:
+        """Return all bytes, not decompressed, as a file that can seek: the file itself, or what came through the pipe."""
+        self._n_passes += 1
+        self.check_passes(self._n_passes)
+        head, self._head = self._head, None
+        if self._start is not None:
+            head = None
+            self._file.seek(self._start)
+        if isinstance(self._file, io.FileIO) and self._start is not None:
+            return os.fdopen(os.dup(self._file.fileno()), "rb")
+        return io.BytesIO((head or b"") + self._file.read())
 
     def chunks(self, n_bytes: int, plain: Any) -> Iterator[bytes]:
         """Yield all bytes, decompressed, ``n_bytes`` at a time; fewer only at the end.
@@ -80,11 +108,13 @@ class Stream:
         self.check_passes(self._n_passes)
         packing = ""
         try:
+            head, self._head = self._head, None
             if self._start is not None:
                 self._file.seek(self._start)
-            head = _read_fully(self._file, _HEAD)
+                head = None
+            head = _read_fully(self._file, _HEAD) if head is None else head
             if not plain(head):
-                packing = next((name for magic, name in _PACKED.items() if head.startswith(magic)), "")
+                packing = _packing(head)
                 other = next((what for magic, what in _OTHERS.items() if head.startswith(magic)), "")
                 if other:
                     raise StreamError(f"{self.where} is not a trace but {other}")
@@ -95,6 +125,11 @@ class Stream:
             if packing:
                 raise StreamError(f"{self.where} is {packing} that cannot be unpacked ({e}); pack it again") from e
             raise StreamError(f"cannot read {self.where}: {getattr(e, 'strerror', None) or e}") from e
+
+
+def _packing(head: bytes) -> str:
+    """Return how a file with these first bytes is compressed, "" if it is not."""
+    return next((name for magic, name in _PACKED.items() if head.startswith(magic)), "")
 
 
 def _read_fully(file: Any, n_bytes: int) -> bytes:

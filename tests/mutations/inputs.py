@@ -14,6 +14,8 @@ MUTATIONS = [
     Mutation("address files: a row's last byte may be beyond 2^32", "traces/address_files.py", "(address + size > 1 << 32)", "(address > 1 << 32)", "tests/traces/test_address_files.py"),
     Mutation("address files: rows are numbered anew in each piece", "traces/address_files.py", "yield self._checked(table, n)", "yield self._checked(table, 0)", "tests/traces/test_address_files.py"),
     Mutation("address files: the last line without an end is lost", "traces/address_files.py", "        if rest.strip():\n", "        if rest.endswith(b'\\n'):\n", "tests/traces/test_address_files.py"),
+    Mutation("address files: only a name tells", "traces/address_files.py", 'return head.startswith(_PARQUET) or "address" in', 'return False and "address" in', "tests/traces/test_address_files.py"),
+    Mutation("stream: the first bytes of a pipe are taken", ST, "            head, self._head = self._head, None\n            if self._start is not None:\n                self._file.seek(self._start)\n                head = None\n", "            head = None\n            if self._start is not None:\n                self._file.seek(self._start)\n", "tests/traces/test_address_files.py"),
     Mutation("address files: exported prefetches are reads", "traces/address_files.py", '0x{address:x},{kind:x},', '0x{address:x},0,', "tests/traces/test_address_files.py"),
     # --- values ---
     Mutation("values: nulls are not seen", CH, "    if column.null_count:", "    if column.null_count < 0:", VALUES),

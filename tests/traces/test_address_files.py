@@ -1,6 +1,11 @@
 """Traces of addresses in CSV and Parquet: replayed as DineroIV's are, with the same checks, and written from runs."""
 
 import gzip
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -14,7 +19,9 @@ from cachesim.sweep import sweep
 from nptrace_base.errors import NptraceError
 from tests.reference.traces import make_trace, write
 from traces.address_files import AddressFile, export_addresses
+from traces.stream import Stream
 
+PATH = {"PYTHONPATH": str(Path(cli.__file__).parent)}
 CONFIGS = [CacheConfig(1024, 2), CacheConfig(2048, 64)]
 DIN = "0 1000\n0 1020\nb 1040\n3 1040\n2 1004\n0 1000\n"
 CSV = "address,note,type,size\n4096,x,0,4\n0x1020,y,read,4\n4160,,b,4\n0x1040,z,misc,4\n 0x1004 , ,fetch,4\n4096,,0,4\n"
@@ -25,7 +32,7 @@ def counts(path, **options):
 
 
 def rows_of(path):
-    return [list(map(int, row)) for address, size, types in AddressFile(path).batches()
+    return [list(map(int, row)) for address, size, types in AddressFile(Stream(path)).batches()
             for row in zip(address, [size] * len(address) if isinstance(size, int) else size, types, strict=True)]  # fmt: skip
 
 
@@ -50,6 +57,25 @@ def test_they_replay_and_sweep_as_din_does(folder, name):
     swept = [[(row.demand_misses, row.prefetch_misses) for row in sweep(each, CONFIGS)] for each in (name, "x.din")]
     assert swept[0] == swept[1]
     assert replay(name, CONFIGS)[0].identity.run == name
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.csv.gz", "x.parquet", "x.din"])
+def test_they_come_through_a_pipe(folder, name):
+    """Which form it is shows in the first bytes: a pipe has no name."""
+    for prefetch in ("traced", "none"):
+        arguments = [sys.executable, "-m", "nptrace", "cache", "replay", "-", "--prefetch", prefetch, "--size", "1K", "--json"]
+        with subprocess.Popen(["cat", name], stdout=subprocess.PIPE) as source:
+            done = subprocess.run(arguments, stdin=source.stdout, capture_output=True, check=True, env=os.environ | PATH)
+        [row] = json.loads(done.stdout)
+        assert (row["demand_accesses"], row["demand_misses"]) == counts("x.din", prefetch=prefetch)[0][:2], name
+        assert row["run"] == "stdin"
+
+
+@pytest.mark.parametrize("name", ["x.csv", "x.csv.gz", "x.parquet"])
+def test_a_file_without_an_ending_is_known_by_its_first_bytes(folder, name):
+    (folder / "plain").write_bytes((folder / name).read_bytes())
+    assert counts("plain", prefetch="traced") == counts("x.din", prefetch="traced")
+    assert counts("plain", prefetch="next-line:miss") == counts("x.din", prefetch="next-line:miss")
 
 
 def test_what_is_left_out_is_a_read_of_one_byte(folder):

@@ -132,7 +132,7 @@ def test_commands_read_pipes_and_stdin(tmp_path):
         (gzip.compress(TEXT, mtime=0)[:-8] + b"12345678", r"x is gzip that cannot be unpacked \(CRC check failed"),
         (packed(TEXT * 99, "zstd")[:-9], r"x is zstd that cannot be unpacked"),
         (lzma.compress(TEXT)[:-9], r"x is xz that cannot be unpacked"),
-        (b"PAR1" + bytes(40), "x is not a trace but a Parquet file; give the directory of its run"),
+        (b"PAR1" + bytes(40), "x cannot be read as Parquet"),
         (b"PK\x03\x04" + bytes(40), "x is not a trace but a zip archive; unpack it"),
         (b"", "x holds no access"),
         (b"\n" * 9000, "x holds no access"),
