@@ -169,7 +169,7 @@ def _smallest_run(scene: Scene, path: Path) -> Run:
     """Write a run of one ray by hand, so that no kernel that traces has to be compiled for it."""
     tree = _smallest_tree(scene, "bvh")
     with RunWriter(path, footer_of(scene, tree, Shooting(1, 1), ""), BOX) as run:
-        run.append("nodes", lambda: node_table(tree))
+        run.append("nodes", lambda: [node_table(tree)])
         run.append("accesses", {"ray": np.zeros(3), "node": np.arange(3), "kind": np.array([PUSH, LEAF, LEAF])})
         one = {"ray": 0, "x": 0, "y": 0, "type": 0, "first": 0, "count": 3, "prim": -1, "t": np.inf}
         run.append("rays", {name: np.array([value]) for name, value in one.items()})

@@ -25,10 +25,10 @@ from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
 from rtrace.shooting import Shooting as Shooting
 from rtrace.traverse import NoRoomError
-from rtrace.trees.tree import Tree, node_table
+from rtrace.trees.tree import Tree, node_tables
 from rtrace.trees.tree_cache import cached_tree
 from traces.footer import CameraFacts, Footer, SceneFacts, TreeFacts
-from traces.format import BOX, PRIMARY, SHADOW, SPLIT, printable
+from traces.format import BOX, PRIMARY, ROW_GROUP, SHADOW, SPLIT, printable
 from traces.identity import RunIdentity, identity_of
 from traces.node_formats import NODE_FORMATS
 from traces.writer import RunWriter, refuse_other
@@ -194,7 +194,7 @@ def render(
     n_rays = n_accesses = n_prefetches = n_leaves = n_shadow = n_hits = n_shadowed = 0
     footer = footer_of(scene, tree, shooting, tool_version)
     with RunWriter(path, footer, fields) as run:
-        run.append("nodes", partial(node_table, tree))
+        run.append("nodes", partial(node_tables, tree, ROW_GROUP))
         for chunk in traced:
             chunk.rays["ray"] += np.uint32(n_rays)
             chunk.rays["first"] += np.uint64(n_accesses)
@@ -255,7 +255,9 @@ def render_all(
         raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE and --camera")
     n_steps = shooting.n_rays if isinstance(shooting, RayFile) else shooting.width * shooting.height
     with thread_pool(threads) as pool:
-        jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]
+        jobs = [
+            (s, pool.submit(cached_tree, s, kind, threads=threads, **given)) for s in scenes for kind, given in params.items()
+        ]
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             if path.exists() and not overwrite:
                 refuse_other(path, footer_of(scene, tree.result(), shooting, tool_version))

@@ -9,7 +9,7 @@ import secrets
 import shutil
 import stat
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -39,6 +39,8 @@ _AHEAD = 2
 
 #: One array per column of a table, all of one length.
 Columns = Mapping[str, np.ndarray]
+#: Columns, or a function that makes pieces of them.
+Rows = Columns | Callable[[], Iterable[Columns]]
 
 
 def empty_column(n: int, dtype: type[np.generic]) -> np.ndarray:
@@ -69,7 +71,7 @@ class _Table:
             self._file, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
         )
 
-    def append(self, columns: Columns | Callable[[], Columns]) -> None:
+    def append(self, columns: Rows) -> None:
         self._waiting.append(self._thread.submit(self._take, columns))
         self.wait(_AHEAD)
 
@@ -78,9 +80,11 @@ class _Table:
         while len(self._waiting) > n_left:
             self._waiting.popleft().result()
 
-    def _take(self, columns: Columns | Callable[[], Columns]) -> None:
-        if not isinstance(columns, Mapping):
-            columns = columns()
+    def _take(self, columns: Rows) -> None:
+        for each in [columns] if isinstance(columns, Mapping) else columns():
+            self._add(each)
+
+    def _add(self, columns: Columns) -> None:
         piece = pa.Table.from_arrays([pa.array(columns[name]) for name in self.schema.names], schema=self.schema)
         self._pieces.append(piece)
         self.n_rows += len(piece)
@@ -170,8 +174,8 @@ class RunWriter:
         self._tables["nodes"] = _Table(self._temp / "nodes.parquet", nodes)
         return self
 
-    def append(self, table: str, columns: Columns | Callable[[], Columns]) -> None:
-        """Append rows to ``accesses``, ``rays`` or ``nodes``; a function that makes them is called by the file's thread."""
+    def append(self, table: str, columns: Rows) -> None:
+        """Append rows to ``accesses``, ``rays`` or ``nodes``; a function that yields them is called by the file's thread."""
         self._tables[table].append(columns)
 
     def complete(self) -> None:

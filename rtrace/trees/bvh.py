@@ -6,16 +6,18 @@ leaf may have is split at the cheapest cut, or, where no cut makes its children 
 so that copies end in leaves of that size too. There is no limit on depth.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined, kernel
+from nptrace_base.pools import thread_pool
 from rtrace.trees import binned_sah
-from rtrace.trees.leaf_rules import NO_SMALLER, leaf_rules, limits_given
+from rtrace.trees.leaf_rules import NO_SMALLER, LeafRules, leaf_rules, limits_given
 from rtrace.trees.merge_sort import sort
 from rtrace.trees.strays import make_room
+from rtrace.trees.subtrees import build_in_parts, placed
 from rtrace.trees.tree import (
     AXIS_BITS,
     AXIS_MASK,
@@ -59,17 +61,17 @@ def _grown(box, boxes, triangle):
 def _sweep_axis(ids, start, end, boxes, right_area):
     """Return (cost, position) of the cheapest cut of ids[start:end], in the order given, without the node's own terms.
 
-    ``position`` is the first index of the right side; among equal costs the lowest.
+    ``position`` is the first index of the right side; among equal costs the lowest. ``right_area`` is room for end - start.
     """
     box = _EMPTY
     for i in range(end - 1, start, -1):
         box = _grown(box, boxes, ids[i])
-        right_area[i] = _half_area(box)
+        right_area[i - start] = _half_area(box)
     box = _EMPTY
     best, position = np.inf, -1
     for i in range(start, end - 1):
         box = _grown(box, boxes, ids[i])
-        cost = _half_area(box) * (i + 1 - start) + right_area[i + 1] * (end - i - 1)
+        cost = _half_area(box) * (i + 1 - start) + right_area[i + 1 - start] * (end - i - 1)
         if cost < best:
             best, position = cost, i + 1
     return best, position
@@ -151,21 +153,32 @@ def _halve(orders, n, start, end, goes_right):
 
 
 @kernel
-def _build(orders, boxes, nodes, words, prims, n, rules):
-    """Fill nodes (flat float32 and uint32 views) and prims depth-first; return (number of nodes, deepest level).
+def _build(orders, boxes, goes_right, span, nodes, words, prims, rules, is_one_step):
+    """Build the subtree of the triangles in ``span`` (first, end, level of the root); return (number of nodes, deepest level).
 
-    ``orders`` holds the triangles sorted by centroid along x, y and z, one after another; ``rules`` are ``LeafRules``. Those
-    of a leaf are in any order.
+    Parameters
+    ----------
+    orders : (3 n,) int32
+        The triangles sorted by centroid along x, y and z, one order after another; a subtree parts its span of each.
+    boxes : (6 n,) float32
+    goes_right : (n,) uint8
+        Scratch, by triangle: subtrees of one tree have different ones.
+    nodes, words : float32 and uint32 array
+        The same memory, filled depth-first from the root on.
+    prims : (n,) int32
+        Filled in the span; those of a leaf are in any order.
+    rules : LeafRules
+    is_one_step : bool
+        Split the root only, so that other threads build its children.
     """
+    n, (first, stop, root_level) = goes_right.size, span
     trav, min_leaf, max_leaf = rules
-    right_area = np.empty(n, np.float64)
-    scratch = np.empty(n, np.int32)
-    goes_right = np.zeros(n, np.uint8)
-    todo = np.empty((n + 1, 4), np.int64)  # node, start, end, level
-    todo[0, 0], todo[0, 1], todo[0, 2], todo[0, 3] = 0, 0, n, 0
-    n_todo, n_nodes, max_level = 1, np.int64(1), 0
-    zero = np.int64(0)
-    _write_box(orders[:n], zero, n, boxes, nodes, zero)
+    right_area = np.empty(stop - first, np.float64)
+    scratch = np.empty(stop - first, np.int32)
+    todo = np.empty((stop - first + 1, 4), np.int64)  # node, start, end, level
+    todo[0, 0], todo[0, 1], todo[0, 2], todo[0, 3] = 0, first, stop, root_level
+    n_todo, n_nodes, max_level = 1, np.int64(1), root_level
+    _write_box(orders[:n], first, stop, boxes, nodes, np.int64(0))
     while n_todo > 0:
         n_todo -= 1
         node, start, end, level = todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3]
@@ -195,6 +208,7 @@ def _build(orders, boxes, nodes, words, prims, n, rules):
             if k != axis or not is_cut:
                 _partition(orders[k * n : (k + 1) * n], start, end, goes_right, scratch)
         words[w + CHILD], words[w + META] = n_nodes, axis
+        words[BVH_WORDS * n_nodes + CHILD] = position  # until the left child is built: where its triangles end
         _write_box(order, start, position, boxes, nodes, n_nodes)
         _write_box(order, position, end, boxes, nodes, n_nodes + 1)
         todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes + 1, position, end, level + 1
@@ -202,12 +216,74 @@ def _build(orders, boxes, nodes, words, prims, n, rules):
         todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes, start, position, level + 1
         n_todo += 1
         n_nodes += 2
+        if is_one_step:
+            break
     return n_nodes, max_level
+
+
+def _orders(boxes: np.ndarray, threads: int) -> np.ndarray:
+    """Return the triangles sorted by centroid along x, y and z, one order after another: (3 n,) int32."""
+    orders = np.empty((3, len(boxes)), np.int32)
+
+    def fill(k: int) -> None:
+        # Twice the centre of the box, in float64: the sum of two float32 does not overflow there.
+        orders[k] = np.argsort(boxes[:, k].astype(np.float64) + boxes[:, 3 + k], kind="stable")
+
+    with thread_pool(threads) as pool:
+        list(pool.map(fill, range(3)))
+    return orders.reshape(-1)
+
+
+class _Span(NamedTuple):
+    """The triangles of a subtree, a stretch of every order, and the level of its root."""
+
+    first: int
+    stop: int
+    level: int
+
+
+class _Subtree(NamedTuple):
+    nodes: np.ndarray  # BVH_NODE, the root first
+    level: int  # of the deepest
+
+
+def _build_on_threads(
+    orders: np.ndarray, boxes: np.ndarray, prims: np.ndarray, rules: LeafRules, threads: int
+) -> tuple[np.ndarray, int]:  # fmt: skip
+    """Return the nodes, and the deepest level."""
+    goes_right = np.zeros(prims.size, np.uint8)
+
+    def step(span: _Span, is_one_step: bool) -> tuple[_Subtree, list[_Span]]:
+        nodes = np.zeros(3 if is_one_step else max(2 * (span.stop - span.first) - 1, 1), BVH_NODE)
+        flat, words = nodes.view(np.float32), nodes.view(np.uint32)
+        n_nodes, deepest = _build(orders, boxes, goes_right, tuple(span), flat, words, prims, rules, is_one_step)
+        built, level = _Subtree(nodes[:n_nodes].copy(), int(deepest)), span.level + 1
+        if not is_one_step or n_nodes == 1:
+            return built, []
+        middle = int(nodes["child"][1])
+        return built, [_Span(span.first, middle, level), _Span(middle, span.stop, level)]
+
+    root = build_in_parts(step, _Span(0, prims.size, 0), lambda span: span.stop - span.first, threads)
+    if not root.children:
+        return root.built
+    parts = list(placed(root))
+    nodes = np.zeros(1 + sum(len(part.built.nodes) - 1 for part, *_ in parts), BVH_NODE)
+    nodes[0] = root.built.nodes[0]
+    for part, at, n in parts:
+        built = part.built
+        below = nodes[n : n + len(built.nodes) - 1]
+        below[:] = built.nodes[1:]
+        # A root's box is its parent's, which has the same faces; zeros of another sign would be other bytes.
+        nodes["child"][at], nodes["meta"][at] = built.nodes["child"][0], built.nodes["meta"][0]
+        for array in (nodes[at : at + 1], below):
+            is_inner = array["meta"] & AXIS_MASK != LEAF_AXIS
+            array["child"][is_inner] += np.uint32(n - 1)
+    return nodes, max(part.built.level for part, *_ in parts)
 
 
 def build_bvh(
     triangles: np.ndarray, *, builder: str = "sweep", c_trav: float = 1.0, c_isect: float = 1.0, min_leaf: int = 0,
-    max_leaf: int | None = None,
+    max_leaf: int | None = None, threads: int = 1,
 ) -> Tree:  # fmt: skip
     """Build a BVH.
 
@@ -222,6 +298,8 @@ def build_bvh(
     min_leaf, max_leaf : int
         A node with up to ``min_leaf`` triangles is a leaf; one with more than ``max_leaf`` is not, whatever it costs. None: no
         limit.
+    threads : int
+        Of the builder ``sweep``, for large scenes; the tree does not depend on it.
 
     Raises
     ------
@@ -241,24 +319,23 @@ def build_bvh(
     rules = leaf_rules(c_trav, c_isect, min_leaf, max_leaf)
     n = len(triangles)
     triangles = np.ascontiguousarray(triangles)
-    nodes, prims = np.zeros(2 * n, BVH_NODE), np.empty(n, np.int32)
-    flat, words = nodes.view(np.float32), nodes.view(np.uint32)
+    prims = np.empty(n, np.int32)
     if builder == "sweep":
         boxes = np.concatenate(triangle_boxes(triangles), axis=1)
         extent = make_room(triangles, boxes[:, :3], boxes[:, 3:])
-        # Twice the centre of the box, in float64: the sum of two float32 does not overflow there.
-        centroids = boxes[:, :3].astype(np.float64) + boxes[:, 3:]
-        orders = np.concatenate([np.argsort(centroids[:, k], kind="stable") for k in range(3)]).astype(np.int32)
-        n_nodes, max_level = _build(orders, boxes.reshape(-1), flat, words, prims, n, rules)
+        nodes, max_level = _build_on_threads(_orders(boxes, threads), boxes.reshape(-1), prims, rules, threads)
+        del boxes
     elif builder == "binned":
+        nodes = np.zeros(2 * n, BVH_NODE)
         records, box = np.empty(binned_sah.WORDS * n, np.float32), np.empty(binned_sah.WORDS, np.float32)
         binned_sah.make_records(triangles.reshape(-1), records, records.view(np.uint32), box)
         extent = binned_sah.make_room(triangles, records, box)
+        flat, words = nodes.view(np.float32), nodes.view(np.uint32)
         n_nodes, max_level = binned_sah.build_binned(records, records.view(np.uint32), box, flat, words, prims, rules)
+        nodes = nodes[:n_nodes].copy()
     else:
         raise NptraceError(f"builder must be 'sweep' or 'binned', got {builder!r}")
-    nodes = nodes[:n_nodes].copy()
-    _sort_leaves(words, n_nodes, prims, np.empty(n, np.int32))
+    _sort_leaves(nodes.view(np.uint32), len(nodes), prims, np.empty(n, np.int32))
     corners = np.take(triangles, prims, axis=0)  # a third of the time of triangles[prims]
     params: dict[str, Any] = {"builder": builder}
     if (c_trav, c_isect) != (1.0, 1.0):

@@ -4,6 +4,7 @@ Both layouts are Manta's (2013): root 0, sibling pairs from number 1 on, so the 
 a pair is numbered when its parent is split, then the left subtree, then the right (depth-first).
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -155,7 +156,7 @@ def _boxes(corners, lower, upper):
 
 
 @kernel
-def _node_columns(words, words_per_node, is_kd, parent, level, axis, n_prims):
+def _parents_and_levels(words, words_per_node, is_kd, parent, level):
     """Fill the columns of all nodes; children have higher numbers than their parents."""
     bits, mask = np.uint32(AXIS_BITS), np.uint32(AXIS_MASK)
     meta_word, child_word = np.uint64(KD_META if is_kd else META), np.uint64(CHILD)
@@ -163,10 +164,7 @@ def _node_columns(words, words_per_node, is_kd, parent, level, axis, n_prims):
     for i in range(np.uint64(parent.size)):
         first = i * words_per_node
         meta = words[first + meta_word]
-        is_leaf = meta & mask == LEAF_AXIS
-        axis[i] = meta & mask
-        n_prims[i] = meta >> bits if is_leaf else np.uint32(0)
-        if not is_leaf:
+        if meta & mask != LEAF_AXIS:
             child = np.uint64(meta >> bits) if is_kd else np.uint64(words[first + child_word])
             for c in range(child, child + np.uint64(2)):
                 parent[c], level[c] = i, level[i] + np.uint16(1)
@@ -179,22 +177,36 @@ def node_table(tree: Tree) -> dict[str, np.ndarray]:
     node), ``address`` uint64 in bytes (``traces.node_formats``), and ``split`` float32 (kd-tree; NaN for a leaf) or
     ``min_x`` ... ``max_z`` float32 (BVH).
     """
+    [table] = node_tables(tree, tree.nodes.size)
+    return table
+
+
+def node_tables(tree: Tree, n_rows: int) -> Iterator[dict[str, np.ndarray]]:
+    """Yield ``node_table`` in pieces of ``n_rows``: a large tree's whole table takes as much memory as the tree."""
     nodes, n, node_format = tree.nodes, tree.nodes.size, NODE_FORMATS[tree.kind]
     parent, level = np.empty(n, np.int32), np.empty(n, np.uint16)
-    axis, n_prims = np.empty(n, np.uint8), np.empty(n, np.uint32)
-    _node_columns(words(tree)[1], np.uint64(nodes.itemsize // 4), tree.kind == "kdtree", parent, level, axis, n_prims)
-    table: dict[str, np.ndarray] = {
-        "node": np.arange(n, dtype=np.uint32),
-        "parent": parent,
-        "level": level,
-        "axis": axis,
-        "n_prims": n_prims,
-        "address": stored_addresses(parent, node_format, node_format.node_bytes),
-    }
-    if tree.kind == "kdtree":
-        table["split"] = np.where(axis == LEAF_AXIS, np.float32(np.nan), nodes["split"])
-    else:
-        for k, name in enumerate("xyz"):
-            table[f"min_{name}"] = np.ascontiguousarray(nodes["lower"][:, k])
-            table[f"max_{name}"] = np.ascontiguousarray(nodes["upper"][:, k])
-    return table
+    _parents_and_levels(words(tree)[1], np.uint64(nodes.itemsize // 4), tree.kind == "kdtree", parent, level)
+    node_bytes = node_format.node_bytes
+    address = None if node_format.reads_leaves else stored_addresses(parent, node_format, node_bytes)
+    for first in range(0, n, n_rows):
+        rows = slice(first, first + n_rows)
+        meta, of = nodes["meta"][rows], parent[rows]
+        axis = (meta & AXIS_MASK).astype(np.uint8)
+        table: dict[str, np.ndarray] = {
+            "node": np.arange(first, first + of.size, dtype=np.uint32),
+            "parent": of,
+            "level": level[rows],
+            "axis": axis,
+            "n_prims": np.where(axis == LEAF_AXIS, meta >> AXIS_BITS, 0).astype(np.uint32),
+        }
+        if address is None:
+            table["address"] = stored_addresses(of, node_format, node_bytes) + np.uint64(first * node_bytes)
+        else:
+            table["address"] = address[rows]
+        if tree.kind == "kdtree":
+            table["split"] = np.where(axis == LEAF_AXIS, np.float32(np.nan), nodes["split"][rows])
+        else:
+            for k, name in enumerate("xyz"):
+                table[f"min_{name}"] = np.ascontiguousarray(nodes["lower"][rows, k])
+                table[f"max_{name}"] = np.ascontiguousarray(nodes["upper"][rows, k])
+        yield table

@@ -2,13 +2,14 @@
 
 The name of a file is a hash of everything that determines the tree: the triangles, the kind, the parameters and the builders'
 sources. Files are written atomically, so concurrent processes are safe; a damaged file is replaced. The folder must be
-writable by this user alone, because kernels trust the numbers of a tree. When the folder exceeds ``MAX_BYTES``, the oldest
-files are deleted.
+writable by this user alone, because kernels trust the numbers of a tree. The trees take ``SHARE`` of what the disk has for
+them, free space and their own; beyond it, the oldest files are deleted.
 """
 
 import hashlib
 import json
 import os
+import shutil
 import zipfile
 from contextlib import suppress
 from functools import cache
@@ -32,13 +33,13 @@ from traces.node_formats import NODE_FORMATS
 
 #: The kinds of trees: every node format there is.
 TREES = tuple(NODE_FORMATS)
-MAX_BYTES = 2 << 30
+SHARE = 1 / 4
 
 
-def build_tree(triangles: np.ndarray, kind: str, **params: Any) -> Tree:
+def build_tree(triangles: np.ndarray, kind: str, *, threads: int = 1, **params: Any) -> Tree:
     """Build a tree of a kind of ``TREES``; parameters as ``build_kdtree`` and ``build_bvh``."""
     build = build_kdtree if _tree_of(kind) == "kdtree" else build_bvh
-    return in_format(build(triangles, **params), kind)
+    return in_format(build(triangles, threads=threads, **params), kind)
 
 
 def _tree_of(kind: str) -> str:
@@ -48,10 +49,10 @@ def _tree_of(kind: str) -> str:
     return NODE_FORMATS[kind].tree
 
 
-def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: Any) -> Tree:
+def cached_tree(scene: Scene, kind: str, folder: Path | None = None, *, threads: int = 1, **params: Any) -> Tree:
     """Return the scene's tree from the cache (``folder``, or the user's); build and store it if it is not there.
 
-    Parameters as ``build_tree``. If the cache is not usable, the tree is not stored.
+    Parameters as ``build_tree``; the tree does not depend on ``threads``. If the cache is not usable, the tree is not stored.
     """
     folder = folder or user_cache_path("nptrace") / "trees"
     key = json.dumps([scene.sha256, _tree_of(kind), sorted(params.items()), _builder_digest(), versions()])
@@ -60,11 +61,11 @@ def cached_tree(scene: Scene, kind: str, folder: Path | None = None, **params: A
         private_folder(folder)
     except OSError as e:
         compiling.not_kept("trees", {folder: e})
-        return build_tree(scene.triangles, kind, **params)
+        return build_tree(scene.triangles, kind, threads=threads, **params)
     try:
         return _load(path, scene, kind)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        tree = build_tree(scene.triangles, kind, **params)
+        tree = build_tree(scene.triangles, kind, threads=threads, **params)
     try:
         _store(path, tree)
         _forget_oldest(folder)
@@ -102,8 +103,9 @@ def _store(path: Path, tree: Tree) -> None:
 def _forget_oldest(folder: Path) -> None:
     files = sorted((p.stat().st_mtime, p.stat().st_size, p) for p in folder.glob("*.npz"))
     total = sum(size for _, size, _ in files)
+    most = SHARE * (shutil.disk_usage(folder).free + total)
     for _, size, path in files[:-1]:
-        if total <= MAX_BYTES:
+        if total <= most:
             break
         path.unlink(missing_ok=True)
         total -= size

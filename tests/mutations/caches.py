@@ -35,10 +35,10 @@ MUTATIONS = [
     Mutation("kd-tree: both ends of a part at its lower bound", KE, "((hi if kind == END else lo) << 32)", "(lo << 32)", KD),
     Mutation("kd-tree: merged events in the order of arrival", KE, "if i >= begin and events[axis, i] > fresh[j]:", "if i >= begin and events[axis, i] > fresh[0]:", KD),
     Mutation("kd-tree: leaves list the ends of triangles too", KE, "n += events[0, i] & KIND != END", "n += 1", KD),
-    Mutation("kd-tree: the upper child takes the lower one's bounds", KT, "straddlers.slot, bounds.above, fresh)", "straddlers.slot, bounds.below, fresh)", KD),
-    Mutation("kd-tree: the lower child's box reaches up to its parent's", KT, "boxes[BOX * cell + axis] = boxes[BOX * (cell + 1) + UPPER + axis] = value(place)", "boxes[BOX * cell + axis] = value(place)", KD),
-    Mutation("kd-tree: the deepest level is not noted", KT, "state[_DEEPEST] = max(state[_DEEPEST], level + 1)", "state[_DEEPEST] = max(state[_DEEPEST], level)", KD),
-    Mutation("kd-tree: split although a leaf is as cheap", KT, "else half_area * n, np.int64(0)", "else half_area * n * 1.01 + 1e-30, np.int64(0)", KD),
+    Mutation("kd-tree: the upper child takes the lower one's bounds", "rtrace/trees/kd_cells.py", "straddlers.slot, bounds.above, fresh)", "straddlers.slot, bounds.below, fresh)", KD),
+    Mutation("kd-tree: the lower child's box reaches up to its parent's", "rtrace/trees/kd_cells.py", "boxes[BOX * cell + axis] = boxes[BOX * (cell + 1) + UPPER + axis] = value(place)", "boxes[BOX * cell + axis] = value(place)", KD),
+    Mutation("kd-tree: the deepest level is not noted", "rtrace/trees/kd_cells.py", "state[_DEEPEST] = max(state[_DEEPEST], level + 1)", "state[_DEEPEST] = max(state[_DEEPEST], level)", KD),
+    Mutation("kd-tree: split although a leaf is as cheap", "rtrace/trees/kd_cells.py", "else half_area * n, np.int64(0)", "else half_area * n * 1.01 + 1e-30, np.int64(0)", KD),
     # --- clipping ---
     Mutation("clipping: ranks of negative numbers the wrong way round", CL, "return bits if bits >= 0 else -2147483648 - bits", "return bits", KD),
     Mutation("clipping: lower bounds are rounded inward", CL, "return place - 1 if value(place) > x else place", "return place", KD),
@@ -53,7 +53,7 @@ MUTATIONS = [
     Mutation("clipping: an upper bound is not widened", CL, "points[box + UPPER + k] = max(points[box + UPPER + k], x)", "points[box + UPPER + k] = x", KD),
     # --- BVH ---
     Mutation("BVH: half the area leaves a face out", BV, "return dx * dy + dy * dz + dz * dx", "return dx * dy + dy * dz", BVH),
-    Mutation("BVH: the right side's area one triangle short", BV, "right_area[i + 1] * (end - i - 1)", "right_area[i + 1] * (end - i - 2)", BVH),
+    Mutation("BVH: the right side's area one triangle short", BV, "right_area[i + 1 - start] * (end - i - 1)", "right_area[i + 1 - start] * (end - i - 2)", BVH),
     Mutation("BVH: the highest of equal costs is taken", BV, "        if cost < best:\n            best, position = cost, i + 1", "        if cost <= best:\n            best, position = cost, i + 1", BVH),
     Mutation("BVH: the z axis is never tried", BV, "    for k in range(3):\n        cost, position", "    for k in range(2):\n        cost, position", BVH),
     Mutation("BVH: the longest axis is the shortest", BV, "if dx >= dy and dx >= dz:", "if dx <= dy and dx <= dz:", BVH),

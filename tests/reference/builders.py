@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numba
 import numpy as np
 
-from rtrace.trees import binned_sah, bvh, kdtree
+from rtrace.trees import binned_sah, bvh, kd_cells
 from rtrace.trees.clip import value
 from rtrace.trees.kd_events import END, KIND, START, TRIANGLE
 
@@ -30,7 +30,7 @@ def _copy(boxes: Any, i: Any, others: Any, j: Any) -> None:
 def _in_python() -> contextlib.ExitStack:
     """Let Python run the outer loop of every builder, so that what it calls and allocates can be replaced."""
     stack = contextlib.ExitStack()
-    steps = (kdtree, "_build"), (kdtree, "_split_cell"), (kdtree, "_write_leaf")
+    steps = (kd_cells, "_build"), (kd_cells, "_split_cell"), (kd_cells, "_write_leaf")
     for module, name in (*steps, (bvh, "_build"), (binned_sah, "build_binned")):
         stack.enter_context(patch.object(module, name, getattr(module, name).py_func))
     stack.enter_context(patch.multiple(binned_sah, grow=_grow, copy=_copy))
@@ -63,7 +63,7 @@ class _Steps:
 
     def __init__(self) -> None:
         names = ("sweep", "classify", "partition", "list_triangles")
-        self._kernels = {name: getattr(kdtree, name) for name in names}
+        self._kernels = {name: getattr(kd_cells, name) for name in names}
         self.n_splits = 0
         self._members: set[int] = set()
         self._claimed = (0, 0)
@@ -122,5 +122,5 @@ def checked() -> Iterator[_Steps]:
     """Check every step of the kd-trees built meanwhile; their trees are the same."""
     steps = _Steps()
     with _in_python() as stack:
-        stack.enter_context(patch.multiple(kdtree, **{name: getattr(steps, name) for name in steps._kernels}))
+        stack.enter_context(patch.multiple(kd_cells, **{name: getattr(steps, name) for name in steps._kernels}))
         yield steps

@@ -8,7 +8,7 @@ import pytest
 
 from rtrace.rays import make_rays
 from rtrace.scenes.shapes import height_field, rectangle, soup
-from rtrace.trees import kdtree
+from rtrace.trees import kd_cells
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from tests.reference.builders import checked, poisoned
@@ -69,8 +69,8 @@ def test_memory_that_was_never_set_is_never_read(builder, kind):
 
 def test_poison_is_noticed(monkeypatch):
     """A leaf that lists more triangles than were written for it takes the others from memory."""
-    whole = kdtree.list_triangles
-    monkeypatch.setattr(kdtree, "list_triangles", lambda events, begin, end, fresh: whole(events, begin, begin + 1, fresh))
+    whole = kd_cells.list_triangles
+    monkeypatch.setattr(kd_cells, "list_triangles", lambda events, begin, end, fresh: whole(events, begin, begin + 1, fresh))
     with poisoned(0x55), pytest.raises(OverflowError, match=str(0x5555555555555555)):
         build_kdtree(soup(30, seed=1), max_level=0)
 

@@ -2,6 +2,7 @@
 
 import os
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ def test_the_oldest_trees_go_when_the_folder_is_full(tmp_path, scene, monkeypatc
     for level in (1, 2, 3):
         cached_tree(scene, "kdtree", tmp_path, max_level=level)
     sizes = [p.stat().st_size for p in tmp_path.iterdir()]
-    monkeypatch.setattr(treecache, "MAX_BYTES", max(sizes) * 2)
+    monkeypatch.setattr(treecache.shutil, "disk_usage", lambda folder: SimpleNamespace(free=4 * max(sizes)))
     cached_tree(scene, "kdtree", tmp_path, max_level=4)
     assert 1 <= len(list(tmp_path.iterdir())) <= 2
 
