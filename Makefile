@@ -108,7 +108,9 @@ fuzz: $(INSTALLED) ## Try 100,000 inputs nobody would write and put their number
 
 bench: $(INSTALLED) ## Measure speed, about 15 minutes, and write docs/performance.md (ARGS=--quick: half a minute, writes nothing)
 	$(BIN)/python -m tests.bench $(ARGS)
-	@test -n "$(ARGS)" || { $(BIN)/python -m tests.bench.scaling && $(BIN)/cog -r docs/performance.md; }
+	$(BIN)/python -m tests.bench.scaling $(ARGS)
+	$(BIN)/python -m tests.bench.large $(ARGS)
+	@test -n "$(ARGS)" || $(BIN)/cog -r docs/performance.md
 
 speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour or two, and write docs/speed-error.md (ARGS=--quick: a minute, writes nothing)
 	$(BIN)/python -m tests.bench.speed_error $(ARGS)

@@ -172,7 +172,7 @@ def open_list(cog) -> None:
 
 def mesh_readers(cog) -> None:
     """Write how many files of the mesh corpus each reader read right, format by format."""
-    rows = _rows("mesh_readers.csv")
+    rows = rows_of("mesh_readers.csv")
     formats = list(dict.fromkeys(row["format"] for row in rows))
     cog.outl("| reader | " + " | ".join(f"{name}, of {_files(rows, name)}" for name in formats) + " |")
     cog.outl("| --- |" + " ---: |" * len(formats))
@@ -213,7 +213,7 @@ def mutations(cog) -> None:
         cog.outl(f"| {what} | {row['file']} | {test or '**survived**'} |")
 
 
-def _rows(name: str) -> list[dict[str, str]]:
+def rows_of(name: str) -> list[dict[str, str]]:
     """Return the rows of a file under docs/data, none if it is not there."""
     path = DATA / name
     if not path.exists():
@@ -237,7 +237,7 @@ COLUMNS = {
 
 def speed_error(cog) -> None:
     """Write speed-up and errors of every short cut: medians over scenes and trees, and the largest error."""
-    rows = _rows("speed_error.csv")
+    rows = rows_of("speed_error.csv")
     cog.outl("| method | | speed-up | " + " | ".join(COLUMNS.values()) + " |")
     cog.outl("| --- | --- |" + " ---: |" * (1 + len(COLUMNS)))
     for key in dict.fromkeys((row["method"], row["parameter"]) for row in rows):
@@ -258,7 +258,7 @@ def speed_error(cog) -> None:
 
 def speed_error_about(cog) -> None:
     """Write the measured runs, and the conclusion in one sentence."""
-    rows, held = _rows("speed_error.csv"), [row for row in _rows("calibration.csv") if row["caches"] == "Table I"]
+    rows, held = rows_of("speed_error.csv"), [row for row in rows_of("calibration.csv") if row["caches"] == "Table I"]
     runs = {(row["scene"], row["tree"]) for row in rows}
     cog.outl(f"{len(runs)} runs (scenes x trees): {', '.join(sorted({scene for scene, _ in runs}))}.")
     large = [row for row in held if row["size"] == "2048x2048" and row["median_share"] and row["target"] == "2%,0.05pp"]
@@ -272,7 +272,7 @@ def speed_error_about(cog) -> None:
 
 def set_sampling(cog) -> None:
     """Write the gain in replay and the errors of set sampling."""
-    rows = [row for row in _rows("speed_error.csv") if row["method"].startswith("set sampling")]
+    rows = [row for row in rows_of("speed_error.csv") if row["method"].startswith("set sampling")]
     cog.outl("| caches | sets | speed-up over filtered | over unfiltered | miss A, median error % | largest % |")
     cog.outl("| --- | --- |" + " ---: |" * 4)
 
@@ -293,7 +293,7 @@ def set_sampling(cog) -> None:
 
 def hashed_lines(cog) -> None:
     """Write the gain and the errors, in points, of hashed lines."""
-    rows = [row for row in _rows("speed_error.csv") if row["method"] == "hashed lines"]
+    rows = [row for row in rows_of("speed_error.csv") if row["method"] == "hashed lines"]
     cog.outl("| lines followed | speed-up of stack distances | median error, points | largest |")
     cog.outl("| --- | ---: | ---: | ---: |")
     for part in dict.fromkeys(row["parameter"] for row in rows):
@@ -305,7 +305,7 @@ def hashed_lines(cog) -> None:
 
 def calibration(cog, target: str) -> None:
     """Write how often the intervals held for a target, run by run."""
-    rows = [row for row in _rows("calibration.csv") if row["target"] == target]
+    rows = [row for row in rows_of("calibration.csv") if row["target"] == target]
     cog.outl(
         "| scene, tree | pixels | caches | seeds | sampled | all hold % | targeted hold % | worst quantity holds % | "
         "bias / half-width | rays % | reasons for exact counts (times) |"
@@ -346,7 +346,7 @@ def calibration(cog, target: str) -> None:
 
 def estimate_speed(cog) -> None:
     """Write the wall times of estimates at 2048x2048 beside those of the exact runs."""
-    rows = _rows("estimate_speed.csv")
+    rows = rows_of("estimate_speed.csv")
     cog.outl(
         "| scene, tree | build, s | exact, s | estimate, s | speed-up, wall | speed-up, CPU | rays % | predicted / exact |"
     )
@@ -363,50 +363,10 @@ def estimate_speed(cog) -> None:
 
 def arithmetic(cog) -> None:
     """Write the hits that other arithmetic and boxes without margins lose."""
-    rows = _rows("arithmetic.csv")
+    rows = rows_of("arithmetic.csv")
     cog.outl("| traversal | tree | rays | lost | invented | other triangle | t, p99.9 / kappa | visits % | miss A % | speed |")
     cog.outl("| --- | --- |" + " ---: |" * 8)
     for row in rows:
         cog.outl("| " + " | ".join(row[name] for name in (
             "traversal", "tree", "rays", "lost", "invented", "other", "t_error", "visits", "miss", "speed"
         )) + " |")  # fmt: skip
-
-
-def machine(cog) -> None:
-    """Write the machine, the versions and the scenes of docs/performance.md."""
-    facts = json.loads((DATA / "machine.json").read_text(encoding="utf-8"))
-    cog.outl("| " + " | ".join(facts) + " |")
-    cog.outl("|" + " --- |" * len(facts))
-    cog.outl("| " + " | ".join(facts.values()) + " |")
-
-
-def goals(cog) -> None:
-    """Write every figure of ``make bench`` that has a goal, or belongs to one."""
-    cog.outl("| | least | median | largest | goal | |")
-    cog.outl("| --- |" + " ---: |" * 4 + " --- |")
-    for row in _rows("bench.csv"):
-        verdict = "**not met**" if row["verdict"] == "not met" else row["verdict"]
-        cog.outl(f"| {row['what']} | {row['least']} | {row['median']} | {row['largest']} | {row['goal']} | {verdict} |")
-
-
-def spread(cog, name: str) -> None:
-    """Write figures without goals: ``savings`` or ``tried``."""
-    cog.outl("| | least | median | largest |")
-    cog.outl("| --- |" + " ---: |" * 3)
-    for row in _rows(f"{name}.csv"):
-        cog.outl(f"| {row['what']} | {row['least']} | {row['median']} | {row['largest']} |")
-
-
-def scaling(cog) -> None:
-    """Write cost and memory by the size of the picture."""
-    columns = ("rays", "accesses", "bytes")
-    stages = "render, ns/access | replay, ns/access | render, us/ray | memory of render, MB | memory of replay, MB"
-    cog.outl(f"| pixels | rays | accesses | trace, MB | {stages} |")
-    cog.outl("| ---: |" + " ---: |" * 8)
-    for row in _rows("scaling.csv"):
-        rays, accesses, n_bytes = (int(row[name]) for name in columns)
-        cells = [f"{row['pixels a side']}²", f"{rays:,}", f"{accesses:,}", f"{n_bytes / 1e6:.0f}"]
-        cells += [f"{float(row[stage]) * 1e9 / accesses:.1f}" for stage in ("render s", "replay s")]
-        cells += [f"{float(row['render s']) * 1e6 / rays:.2f}"]
-        cells += [f"{float(row[stage]):.0f}" for stage in ("render MB", "replay MB")]
-        cog.outl("| " + " | ".join(cells) + " |")

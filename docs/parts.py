@@ -3,7 +3,7 @@
 import statistics
 from collections.abc import Sequence
 
-from figures import _rows
+from figures import rows_of
 
 TREES = {"kdtree": "kd-tree", "bvh": "BVH", "bvh64": "BVH, 64 B"}
 PREFETCHES = {"stack": "the paper's unit", "push": "at the push"}
@@ -24,7 +24,7 @@ def _errors(rows: Sequence[dict[str, str]], name: str) -> list[str]:
 
 def methods(cog) -> None:
     """Write time, errors and intervals of every method."""
-    rows = _rows("clock_error.csv")
+    rows = rows_of("clock_error.csv")
     figures = ("error", "bias", "half-width", "held %")
     cog.outl("| part | of | time | speed-up: " + " | ".join(figures) + " | cycles / ray: " + " | ".join(figures) + " |")
     cog.outl("| --- | ---: |" + " ---: |" * 9)
@@ -37,7 +37,7 @@ def methods(cog) -> None:
 
 def held_out(cog) -> None:
     """Write how often intervals hold where nothing was chosen by what is found."""
-    rows = [row for row in _rows("clock_error_held_out.csv") if row["method"] == METHOD]
+    rows = [row for row in rows_of("clock_error_held_out.csv") if row["method"] == METHOD]
     found = []
     for parts in dict.fromkeys(row["parts"] for row in rows):
         of = [row for row in rows if row["parts"] == parts]
@@ -53,7 +53,7 @@ def held_out(cog) -> None:
 
 def cells(cog) -> None:
     """Write errors of the speed-up by tree, policy and rays in flight, for one method."""
-    rows = [row for row in _rows("clock_error.csv") if (row["method"], row["parts"]) == (METHOD, PARTS)]
+    rows = [row for row in rows_of("clock_error.csv") if (row["method"], row["parts"]) == (METHOD, PARTS)]
     counts = list(dict.fromkeys(row["rays"] for row in rows))
     cog.outl("| tree | prefetch | " + " | ".join(f"{n} ray{'s' * (n != '1')}" for n in counts) + " |")
     cog.outl("| --- | --- |" + " ---: |" * len(counts))

@@ -1,7 +1,8 @@
-"""``python -m tests.bench.scaling [SCENE] [SIZE...]``: how the cost of both stages, and their memory, grow with the picture.
+"""``python -m tests.bench.scaling [--quick | SCENE [SIZE...]]``: how cost and memory of both stages grow with the picture.
 
 Renders one scene's BVH at growing sizes and replays each trace through one cache (8K, 2-way), every command as a separate
-process whose CPU time and highest memory are read at its end. Writes docs/data/scaling.csv and docs/scaling.svg.
+process whose CPU time and highest memory are read at its end. Writes docs/data/scaling.csv and docs/scaling.svg; ``--quick``
+measures one small picture and writes nothing.
 """
 
 import csv
@@ -89,6 +90,9 @@ def plot(found: list[list[str]], path: Path) -> None:
 
 def main() -> None:
     """Measure, write and draw."""
+    if sys.argv[1:] == ["--quick"]:
+        rows("court", (32,))
+        return
     scene, *sizes = sys.argv[1:] or ["sponza"]
     found = rows(scene, tuple(map(int, sizes)) or SIZES)
     with open(ROOT / "docs" / "data" / "scaling.csv", "w", encoding="utf-8", newline="") as file:
