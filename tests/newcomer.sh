@@ -14,10 +14,16 @@ mkdir "$work/home"
 export HOME=$work/home
 unset NPTRACE_SCENES VIRTUAL_ENV PYTHONPATH
 
-commit=$(git -C "$checkout" rev-parse "$commit")
-git clone --quiet --no-hardlinks "$checkout" "$work/nptrace"
-cd "$work/nptrace"
-git checkout --quiet "$commit"
+if commit=$(git -C "$checkout" rev-parse --quiet --verify "$commit^{commit}"); then
+    git clone --quiet --no-hardlinks "$checkout" "$work/nptrace"
+    cd "$work/nptrace"
+    git checkout --quiet "$commit"
+else # no repository, as in an unpacked sdist: its files, without what was made there
+    mkdir "$work/nptrace"
+    tar -C "$checkout" --exclude='./.venv*' --exclude='./build' --exclude='./traces/*/' -cf - . | tar -C "$work/nptrace" -xf -
+    cd "$work/nptrace"
+    git init --quiet && git add --all && git -c user.name=x -c user.email=x@example.com commit --quiet -m x
+fi
 
 # The blocks of the README, in its order and in one shell, as they are pasted.
 awk '/^```/ { inside = ($0 == "```sh"); next } inside' README.md > "$work/readme.sh"
