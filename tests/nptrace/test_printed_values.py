@@ -263,7 +263,10 @@ def test_a_plot_draws_the_rates(traces, tmp_path, monkeypatch):
 
 
 PAPER_N = {"kdtree": 15.77, "bvh": 27.0}
-IDENTITY = ("run", "path", "scene", "stand_in", "tree", "width", "height", "order", "batch", "camera", "light")
+IDENTITY = (
+    "run", "path", "scene", "stand_in", "tree", "width", "height", "order", "batch", "packet", "shadow", "shadow_order",
+    "shadow_end", "camera", "light",
+)  # fmt: skip
 #: The columns of a record of Table I, each with what divides per cent and KB to give fractions and bytes.
 RECORD = {
     "miss_a": ("demand_miss_rate_without", 100), "miss_b": ("paper_miss_rate", 100), "miss_ratio": ("paper_ratio", 100),

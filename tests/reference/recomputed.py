@@ -72,6 +72,8 @@ def identity_of(run):
         "tree": footer["tree"]["kind"], "builder": " ".join(f"{name}={params[name]}" for name in sorted(params)),
         "width": footer["width"], "height": footer["height"], "order": footer["order"],
         "order_seed": footer["seed"] if footer["order"] == "random" else None, "batch": footer["batch"],
+        "packet": footer.get("packet", 1), "shadow": footer.get("shadow", "lit"),
+        "shadow_order": footer.get("shadow_order", "sign"), "shadow_end": footer.get("shadow_end", "stop"),
         "camera": "eye={eye} at={look_at} up={up} fov=".format(**camera) + repr(footer["camera"]["fov"]),
         "light": ",".join(map(repr, footer["light"])),
     }  # fmt: skip
