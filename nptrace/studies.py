@@ -63,21 +63,37 @@ def rendered(
 
 def replayed(
     sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
-    bar: Progress, *, three_c: bool = False, threads: int | None = None,
+    bar: Progress, *, reads: str = "own", flush: str = "never", three_c: bool = False, threads: int | None = None,
 ) -> "list[Result]":  # fmt: skip
     """Replay every source under every layout and prefetch policy through every cache, the caches fastest."""
+    from cachesim.flush import FlushedSource, emptied
     from cachesim.prefetch import parse_prefetch
+    from cachesim.reads import reads_of
     from cachesim.replay import replay
 
     policies = [parse_prefetch(text) for text in prefetches]
     results: list[Result] = []
-    for source in _opened(sources, layouts):
-        source.check_passes(len(policies))
+    for opened in _opened(sources, layouts):
+        opened.check_passes(len(policies))
+        source: Source = reads_of(opened, reads, configs[0].line_bytes)
+        if flush == "ray":
+            source = FlushedSource(source, configs)
         for policy in policies:
             bar.job(source.identity.run)
             advance = bar.phase(f"replay, prefetch {policy}", source.n_events)
-            results += replay(source, configs, prefetch=policy, three_c=three_c, threads=threads, progress=advance)
+            found = replay(source, configs, prefetch=policy, three_c=three_c, threads=threads, progress=advance)
+            for result in found:
+                result.reads, result.flush = reads, flush
+            results += emptied(found) if flush == "ray" else found
     return results
+
+
+def check_whole(by: str | None, reads: str, flush: str) -> None:
+    """Raise NptraceError if parts of counts are asked for with options that only whole caches know."""
+    from nptrace_base.errors import NptraceError
+
+    if by is not None and (reads, flush) != ("own", "never"):
+        raise NptraceError(f"reads {reads} and flush {flush} are for the counts of whole caches, not by {by}; leave by out")
 
 
 def replayed_by(
