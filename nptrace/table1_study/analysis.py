@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from cachesim.report.table1 import paper_table
 from nptrace.table1_study.cameras import EDITIONS, own_camera
-from nptrace.table1_study.figures import CACHES, Row, cells, is_inside, is_plausible, of_cell, octaves, span_of
+from nptrace.table1_study.figures import CACHES, Row, cells, is_inside, is_plausible, octaves, span_of
 from nptrace.table1_study.knobs import KNOBS, SCENE_KNOBS, Setting
 
 #: What a knob stands for in the causes of a row.
@@ -35,6 +35,14 @@ class Study:
         self.rows: list[Row] = [{**row, "changed": self._changed(row)} for row in given]
         self.plausible = [row for row in self.rows if is_plausible(row)]
         self.is_stand_in = any(row["stand_in"] for row in given)
+        self._cells: dict[tuple[str, str, tuple[int, int]], list[Row]] = {cell: [] for cell in cells()}
+        for row in self.plausible:
+            self._cells[row["tree"], row["scene"], (row["size_bytes"], row["ways"])].append(row)
+        self._alone: dict[tuple[Any, ...], list[Row]] = {}
+        for cell, rows_of_cell in self._cells.items():
+            for row in rows_of_cell:
+                if len(row["changed"]) < 2:
+                    self._alone.setdefault((*cell, *row["changed"]), []).append(row)
 
     def _changed(self, row: Row) -> tuple[str, ...]:
         usual = {"version": EDITIONS[row["scene"]][0], "camera": "own" if row["stand_in"] else own_camera(row["scene"])}
@@ -45,8 +53,11 @@ class Study:
 
     def alone(self, tree: str, scene: str, cache: tuple[int, int], knob: str = "") -> list[Row]:
         """Return the plausible rows of a row of the table in which ``knob`` alone differs; of "", in which nothing does."""
-        wanted = (knob,) if knob else ()
-        return [row for row in of_cell(self.plausible, tree, scene, cache) if row["changed"] == wanted]
+        return self._alone.get((tree, scene, cache, knob) if knob else (tree, scene, cache), [])
+
+    def of_cell(self, tree: str, scene: str, cache: tuple[int, int]) -> list[Row]:
+        """Return the plausible rows of a row of the table."""
+        return self._cells[tree, scene, cache]
 
     def default(self, tree: str, scene: str, cache: tuple[int, int]) -> Row:
         """Return the row of the program's default."""
@@ -71,7 +82,7 @@ def ranges(study: Study, names: Sequence[str]) -> list[Range]:
     """Return the ranges of some figures for all rows of the table."""
     found = []
     for (tree, scene, cache), name in ((cell, name) for cell in cells() for name in names):
-        of = of_cell(study.plausible, tree, scene, cache)
+        of = study.of_cell(tree, scene, cache)
         low, high = span_of(of, name)
         paper = paper_table()[tree, scene, *cache][name]
         default = study.default(tree, scene, cache)[name]

@@ -1,7 +1,7 @@
 """Rows of counts -> the figures of Table I, the paper's and the honest ones, and what the paper's own numbers imply."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -97,11 +97,6 @@ def setting_of(row: Row) -> Setting:
 def is_plausible(row: Row) -> bool:
     """Return whether no knob has a value that the paper's text contradicts."""
     return not any(row[knob.name] in knob.unlikely for knob in KNOBS)
-
-
-def of_cell(rows: Iterable[Row], tree: str, scene: str, cache: tuple[int, int]) -> list[Row]:
-    """Return the rows of one row of the table."""
-    return [row for row in rows if (row["tree"], row["scene"], row["size_bytes"], row["ways"]) == (tree, scene, *cache)]
 
 
 def cells() -> Iterator[tuple[str, str, tuple[int, int]]]:
