@@ -44,9 +44,7 @@ class FlushedSource:
     def events(self, prefetch: Prefetch) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (node, access type) batches."""
         if prefetch.trigger:
-            raise NptraceError(
-                f"{prefetch} needs neighbouring lines, which a flush after every ray renames; use stack or push"
-            )
+            raise NptraceError(f"{prefetch} requests neighbours, and a flush after every ray renames lines; use stack or push")
         return iter(self._source.events(prefetch))
 
     def check_passes(self, n_passes: int) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -25,7 +26,7 @@ class TracedRun:
     def __init__(self, scene: Scene, tree: Tree, shooting: Shooting, threads: int) -> None:
         table = node_table(tree)
         self._nodes = {name: table[name] for name in ("parent", "level", "n_prims")}
-        self.path = run_name(scene, tree.kind, tree.params, shooting)
+        self.path = Path(run_name(scene, tree.kind, tree.params, shooting))
         nodes, kinds, types = [], [], []
         for chunk in chunks(tree, scene, shooting, threads):
             demand = chunk.accesses["kind"] != PREFETCH
@@ -42,7 +43,7 @@ class TracedRun:
     @property
     def identity(self) -> RunIdentity:
         """Which run it is."""
-        return identity_of(self.footer, self.path)
+        return identity_of(self.footer, self.path.name)
 
     @property
     def n_nodes(self) -> int:
