@@ -269,17 +269,29 @@ def compare(
 
 
 def table1(
-    sources: Sources = (), /, *, traces: Path | str = "traces", policy: str = "lru", layout: str = "stored",
-    threads: int | None = None,
+    sources: Sources = (), /, *, traces: Path | str = "traces", policy: str = "lru", layout: str = "stored", n: str = "paper",
+    hit: int = 1, miss: int = 100, threads: int | None = None,
 ) -> Results:  # fmt: skip
-    """Return Table I of the paper beside ours from existing runs, as ``npcache table1`` does."""
+    """Return Table I of the paper beside ours from existing runs, as ``npcache table1`` does.
+
+    Parameters
+    ----------
+    n : str
+        Accesses per ray in the ACPR: ``"paper"``, ``"measured"``, or the kd-tree's and the BVH's, ``"15.77,27"``.
+    hit, miss : int
+        Cycles of a hit and of a miss, in the ACPR and in time; from 1.
+    """
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
     from nptrace.studies import table1_rows, table1_runs
 
+    for name, cycles in (("hit", hit), ("miss", miss)):
+        if not (type(cycles) is int and cycles >= 1):
+            raise NptraceError(f"{name}: {cycles!r} is no number of cycles; write a whole number from 1")
+    equation = table.Equation(hit, miss, table.parse_n(n))
     runs = [each if isinstance(each, Run) else open_run(each) for each in _chosen(sources, traces)]
     with Progress() as bar:
-        rows = table1_rows(table1_runs(runs, traces), bar, policy=policy, layout=layout, threads=threads)
+        rows = table1_rows(table1_runs(runs, traces), bar, policy=policy, layout=layout, equation=equation, threads=threads)
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cachesim.clock.timing import Timing
     from cachesim.config import CacheConfig
     from cachesim.layout import Layout
-    from cachesim.report.table1 import Table1Row
+    from cachesim.report.table1 import Equation, Table1Row
     from cachesim.result import Result
     from cachesim.source import Source
     from cachesim.sweep import SweepRow
@@ -174,14 +174,14 @@ def compared(
 
 def table1_rows(
     chosen: dict[tuple[str, str], Run], bar: Progress, *, policy: str = "lru", layout: str = "stored",
-    threads: int | None = None,
+    equation: "Equation | None" = None, threads: int | None = None,
 ) -> "list[Table1Row]":  # fmt: skip
     """Return Table I for the runs that ``table1.choose_runs`` found."""
     from cachesim.report.table1 import table1
 
     bar.job("Table I")
     advance = bar.phase("replay and time", 2 * sum(run.n_accesses for run in chosen.values()))
-    return table1(chosen, policy=policy, layout=layout, threads=threads, progress=advance)
+    return table1(chosen, policy=policy, layout=layout, equation=equation, threads=threads, progress=advance)
 
 
 def table1_runs(runs: Sequence[Run], where: Any) -> dict[tuple[str, str], Run]:
