@@ -466,14 +466,15 @@ def answer(cog: Any) -> None:
         f"{part:.0f} % of the reduction in the median row. The lines fetched hardly change."
     )
     cog.outl(
-        f"- **Most rows are possible.** The paper's miss rate A lies inside our range in {n['miss_a']} of 32 rows, its B/A "
-        f"in {n['miss_ratio']}. One model leaves B/A {at.median:.1f} points off in the median row, {at.worst:.1f} in the worst."
+        "- **Most rows are possible.** The paper's miss rate A lies inside our range in "
+        f"{n['miss_a']} of 32 rows, its B/A in {n['miss_ratio']}. One model leaves B/A {at.median:.1f} points off in the median "
+        f"row, {at.worst:.1f} in the worst."
     )
     cog.outl(
         "- **Two rows are not.** The direct-mapped rows of kd-tree Bunny save lines, and prefetching cannot save a line in a "
         "direct-mapped cache."
     )
     cog.outl(
-        f"- **No reading makes the kd-tree's unit worth building.** It saves {median(saved):.1f} % of the demand misses in the "
-        f"median plausible row and {max(saved):.1f} % at best."
+        f"- **No reading makes the kd-tree's unit worth building.** It saves {median(saved):.1f} % of the demand misses in "
+        f"the median plausible row and {max(saved):.1f} % at best."
     )

@@ -51,7 +51,8 @@ COMBINATIONS = (
     Combination((BVH,), {"rays": _RAYS, "reads": ("own", "children"), "prefetch": _UNITS}),
 )  # fmt: skip
 
-#: The first values of some knobs, on one scene: for a test of the whole chain.
+#: For a test of the whole chain: two scenes, and on one of them the first values of some knobs.
+QUICK_SCENES = ("bunny", "sponza")
 _QUICK = ("batch", "builder", "layout", "reads", "prefetch", "flush")
 
 
@@ -59,7 +60,7 @@ def plan(*, quick: bool = False) -> list[Job]:
     """Return the jobs, the most important first."""
     base = Setting(pixels=32) if quick else Setting()
     jobs: list[Job] = []
-    for scene in SCENES:
+    for scene in QUICK_SCENES if quick else SCENES:
         own = views(scene, only_own=quick)[0]
         for tree in TREES:
             jobs += _jobs(own, tree, one_at_a_time(base, tree, first_only=quick) if scene == "sponza" or not quick else [base])
