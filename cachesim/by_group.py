@@ -124,6 +124,11 @@ class Grouping:
         if by in ("pixel", "ray-type"):
             rays = run.columns("rays", ["x", "y", "type", "count"])
             reads = rays["count"] > 0
+        if by == "pixel" and run.footer.packet > 1:
+            raise NptraceError(
+                f"{run.path} has packets of {run.footer.packet} rays, whose reads are of no single pixel; keep counts by "
+                f"{', '.join(BY[1:-1])} or {BY[-1]}, or render with --packet 1"
+            )
         if by == "pixel":
             width, height = run.footer.width, run.footer.height
             number = np.arange(width * height)

@@ -35,6 +35,10 @@ class RenderOptions(TypedDict, total=False):
     order: str
     batch: int
     seed: int
+    packet: int
+    shadow: str
+    shadow_order: str
+    shadow_end: str
     kd: str
     bvh: str
     rays: Path | str | None
@@ -62,9 +66,10 @@ def render(
 
 def render(
     *scenes: "str | Path | Scene", accel: Given = (), pixels: str = "128x128", camera: str | Sequence[str] | None = None,
-    light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, kd: str = "", bvh: str = "sweep",
-    bvh_nodes: Given = 32, rays: Path | str | None = None, out: Path | str = "traces", name: str | Sequence[str] = (),
-    overwrite: bool = False, threads: int | None = None, strict: bool = False, offline: bool = False,
+    light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, packet: int = 1, shadow: str = "lit",
+    shadow_order: str = "sign", shadow_end: str = "stop", kd: str = "", bvh: str = "sweep", bvh_nodes: Given = 32,
+    rays: Path | str | None = None, out: Path | str = "traces", name: str | Sequence[str] = (), overwrite: bool = False,
+    threads: int | None = None, strict: bool = False, offline: bool = False,
 ) -> Run | list[Run]:  # fmt: skip
     """Trace pictures of scenes, as ``nptrace render`` does, and return the runs, which are on disk.
 
@@ -76,6 +81,11 @@ def render(
         Trees, ``"kdtree"`` and ``"bvh"``; both by default.
     camera : str or list
         One, or several for several runs; by default the scene's or a fitted one.
+    packet : int
+        Rays that walk the tree as one: 1, 4, 16 or 64, of a square of pixels.
+    shadow, shadow_order, shadow_end : str
+        Which pixels send a shadow ray (``"lit"``, ``"hit"``, ``"all"``), which child it searches first (``"sign"``,
+        ``"cheaper"``), and what is read after its hit (``"stop"``, ``"drain"``).
     rays : Path, optional
         Parquet file of rays to trace instead of a picture's (``rtrace.ray_file``).
     out : Path
@@ -106,7 +116,7 @@ def render(
         raise NptraceError(f"order: {order!r} is not one of {', '.join(ORDERS)}")
     check_run_names(names, len(scenes) * max(len(cameras), 1))
     shooting: Shooting | RayFile
-    shooting = picture = Shooting(*parse_size(pixels), order, batch, seed)
+    shooting = picture = Shooting(*parse_size(pixels), order, batch, seed, packet, shadow, shadow_order, shadow_end)
     if rays is not None:
         shooting = own_rays(Path(rays), picture, [*cameras, *([light] if light else [])])
     params = tree_params(trees, kd, bvh, sizes)

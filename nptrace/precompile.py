@@ -33,6 +33,7 @@ from rtrace.ray_source import RayUnits
 from rtrace.render import Shooting, footer_of, render
 from rtrace.scenes.scene import Scene
 from rtrace.scenes.stand_ins import stand_in
+from rtrace.traverse import PACKET_KERNELS
 from rtrace.trees.tree import BVH_NODE, KD_NODE, LEAF_AXIS, Tree, in_format, node_table
 from rtrace.trees.tree_cache import TREES, build_tree
 from traces.din import export_din
@@ -188,6 +189,8 @@ def tracing_and_replaying() -> None:
     with tempfile.TemporaryDirectory() as name:
         for tree in trees:
             path = Path(name) / tree.kind
+            if tree.kind in PACKET_KERNELS:
+                render(scene, tree, Shooting(16, 16, packet=64, shadow_order="cheaper"), path, threads=1)
             for batch in (0, 1):
                 render(scene, tree, Shooting(16, 16, batch=batch), path, threads=1)
             run = open_run(path)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -79,8 +79,8 @@ def own_rays(path: "Path", shooting: "Shooting", views: Sequence[str]) -> "RayFi
 
     if views or shooting != Shooting():
         raise NptraceError(
-            f"--rays {path} brings its own rays, and --pixels, --camera, --light, --order, --batch and --seed are those of a "
-            "picture; leave them out"
+            f"--rays {path} brings its own rays, and --pixels, --camera, --light, --order, --batch, --seed, --packet and "
+            "--shadow are those of a picture; leave them out"
         )
     return read_rays(path)
 
@@ -184,19 +184,26 @@ class Trees:
 
 @dataclass(frozen=True)
 class Picture:
-    """The values of ``ray_options``."""
+    """The values of ``ray_options``, and of ``packet_options`` where a command has them."""
 
     pixels: str = "2048x2048"
     order: str = "scanline"
     batch: int = 1
     seed: int = 0
+    packet: int | str = 1
+    shadow: str = "lit"
+    shadow_order: str = "sign"
+    shadow_end: str = "stop"
 
     def shooting(self) -> "Shooting":
         """Return the rays."""
         from rtrace.camera import parse_size
         from rtrace.shooting import Shooting
 
-        return Shooting(*parse_size(self.pixels), self.order, self.batch, self.seed)
+        shot = Shooting(*parse_size(self.pixels), self.order, self.batch, self.seed)
+        return replace(
+            shot, packet=int(self.packet), shadow=self.shadow, shadow_order=self.shadow_order, shadow_end=self.shadow_end
+        )
 
 
 def tree_options(command: Any) -> Any:
@@ -251,3 +258,29 @@ def ray_options(pixels: str) -> Any:
         return command
 
     return add
+
+
+def packet_options(command: Any) -> Any:
+    """Add the options that decide which rays walk a tree as one, and how shadow rays do."""
+    for option in reversed((
+        click.option(
+            "--packet", type=click.Choice(["1", "4", "16", "64"]), default="1", show_default=True,
+            help="Primary rays that walk the tree as one, then their shadow rays: the pixels of aligned squares, in the order "
+            "of their first pixels. A node is read once for all of them; 64 with --order tile is Manta.",
+        ),
+        click.option(
+            "--shadow", type=click.Choice(["lit", "hit", "all"]), default="lit", show_default=True,
+            help="Pixels that send a shadow ray: with a hit on a surface that faces the light, with a hit, or all.",
+        ),
+        click.option(
+            "--shadow-order", type=click.Choice(["sign", "cheaper"]), default="sign", show_default=True,
+            help="Child that a shadow ray searches first: by the sign of its direction, or the cheaper to search (RTSAH).",
+        ),
+        click.option(
+            "--shadow-end", type=click.Choice(["stop", "drain"]), default="stop", show_default=True,
+            help="After the hit of a shadow ray: stop, or read on as Manta's packets do: what waits on a BVH's stack, or a "
+            "kd-tree up to the closest hit.",
+        ),
+    )):  # fmt: skip
+        command = option(command)
+    return command

@@ -11,6 +11,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,8 @@ Record = dict[str, Any]
 
 #: The keys outside the tables, and what they are when left out.
 TOP = {"out": "traces"}
+#: The options of packets and of shadow rays, in the order of ``Shooting``.
+KNOBS = "packet", "shadow", "shadow_order", "shadow_end"
 #: The tables of stage 2, and the keys of their functions that a study has no use for.
 SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), ("sources", "traces", "threads", "by", "numbers")
 
@@ -46,17 +49,18 @@ class Study:
 
     @property
     def pictures(self) -> "list[tuple[Shooting, dict[str, dict[str, Any]]]]":
-        """Every combination of pixels, order, batch, --kd and --bvh: rays, and the parameters of each tree."""
+        """Every combination of the options that may be lists: rays, and the parameters of each tree."""
         from rtrace.camera import parse_size
         from rtrace.render import Shooting
 
         of = self.render
         trees, nodes = listed("accel", of["accel"], parse_tree), listed("bvh_nodes", of["bvh_nodes"], str)
         found: dict[str, tuple[Shooting, dict[str, dict[str, Any]]]] = {}
-        names = ("pixels", "order", "batch", "kd", "bvh")
-        for pixels, order, batch, kd, bvh in product(*(_several(of[name]) for name in names)):
-            shooting = Shooting(*parse_size(pixels), order, batch, of["seed"] if order == "random" else 0)
+        names = ("pixels", "order", "batch", *KNOBS, "kd", "bvh")
+        for pixels, order, batch, *knobs, kd, bvh in product(*(_several(of[name]) for name in names)):
+            shooting = Shooting(*parse_size(pixels), order, batch, of["seed"] if order == "random" else 0, *knobs)
             for kind, given in tree_params(trees, kd, bvh, nodes).items():
+                shooting.check_format(kind)
                 found.setdefault(repr((shooting, kind, given)), (shooting, {kind: given}))
         return list(found.values())
 
@@ -121,7 +125,7 @@ def _checked(where: "_Lines", table: str, given: Mapping[str, Any], defaults: Ma
         single = isinstance(usual, bool) or name in ("seed", "light", "machine")
         if single and isinstance(value, list):
             raise where.error(table, name, f"{table}.{name} is one value, and no list; write {table}.{name} = {items[0]!r}")
-        if name in ("seed", "batch") and not all(isinstance(item, int) and item >= 0 for item in items):
+        if name in ("seed", "batch", "packet") and not all(isinstance(item, int) and item >= 0 for item in items):
             raise where.error(table, name, f"{table}.{name} is {value!r}, and no whole number from 0; write e.g. {name} = 1")
         if name in ("scenes", "camera", "light", "machine") and not all(isinstance(item, str) for item in items):
             raise where.error(table, name, f"{table}.{name} is {value!r}, and no text; put it in quotes")
@@ -138,7 +142,8 @@ def _try(where: "_Lines", study: Study) -> None:
         raise where.error("render", "", '[render] names no scene; write e.g. scenes = ["sponza"]')
     tries: dict[str, Callable[[Any], object]] = {
         "pixels": parse_size, "camera": parse_camera, "order": lambda order: Shooting(order=order),
-        "batch": lambda batch: Shooting(batch=batch), "kd": lambda text: tree_params([], text, "sweep", ["32"]),
+        "batch": lambda batch: Shooting(batch=batch), **{name: partial(_with_knob, name) for name in KNOBS},
+        "kd": lambda text: tree_params([], text, "sweep", ["32"]),
         "bvh": lambda text: tree_params([], "", text, ["32"]), "light": parse_point,
         "accel": lambda text: listed("accel", text, parse_tree),
         "bvh_nodes": lambda text: tree_params([], "", "sweep", listed("bvh_nodes", text, str)),
@@ -147,9 +152,19 @@ def _try(where: "_Lines", study: Study) -> None:
         for value in _several(of[name]):
             with where.of("render", name):
                 attempt(value)
+    with where.of("render", "bvh_nodes"):
+        pictures = study.pictures
+    if "time" in study.sections and any(shooting.packet > 1 for shooting, _ in pictures):
+        raise where.error("render", "packet", "on the clock every ray reads for itself; leave out [time], or write packet = 1")
     for name in study.sections:
         with where.of(name, ""):
             _plan(name, study.sections[name])
+
+
+def _with_knob(name: str, value: Any) -> "Shooting":
+    from rtrace.shooting import Shooting
+
+    return Shooting(**{name: value})
 
 
 def _plan(name: str, values: Mapping[str, Any]) -> Any:

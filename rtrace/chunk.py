@@ -10,9 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from nptrace_base.jit import kernel
+from rtrace.packets import packet_numbers, packet_starts
 from rtrace.rays import Hits, Rays
 from rtrace.shading import shade, shadow_rays
-from rtrace.traverse import Room, trace, trace_recorded
+from rtrace.shooting import Shooting
+from rtrace.traverse import Room, Together, trace, trace_recorded
 from rtrace.traversers.common import KIND_BITS
 from rtrace.trees.tree import Tree
 from traces.format import LEAF, PREFETCH, PRIMARY, SHADOW
@@ -52,14 +54,17 @@ class Traced(NamedTuple):
 
 
 @kernel
-def _sequence(n, owner, batch, sequence):
-    """Write the order of the rays: ``batch`` primaries, then their shadow rays (numbered from ``n`` on), and so on."""
-    at, shadow = 0, 0
-    for start in range(0, n, batch):
-        end = min(start + batch, n)
+def _sequence(n, owner, ends, sequence):
+    """Write the order of the rays: the primaries of a batch, then their shadow rays (numbered from ``n`` on), and so on.
+
+    ``ends`` is where each batch ends among the primaries.
+    """
+    at, shadow, start = 0, 0, 0
+    for end in ends:
         for i in range(start, end):
             sequence[at] = i
             at += 1
+        start = end
         while shadow < owner.size and owner[shadow] < end:
             sequence[at] = n + shadow
             at += 1
@@ -134,7 +139,7 @@ def shoot(
     frame: np.ndarray,
     light: tuple[float, float, float],
     pixels: np.ndarray,
-    width: int,
+    shooting: Shooting,
     batch: int,
     pass_: int | None,
     most: int | None = None,
@@ -146,8 +151,9 @@ def shoot(
     frame : (4, 3) float64
         ``Camera.frame``.
     pixels : (n,) uint32
+        Of whole packets.
     batch : int
-        Primary rays shot before their shadow rays.
+        Primary rays, or packets of them, shot before their shadow rays.
     pass_ : {None, PRIMARY, SHADOW}
         Record both types of rays, or only one (all primaries first takes two passes).
     most : int, optional
@@ -158,22 +164,28 @@ def shoot(
     rooms = _local.rooms
     for room in rooms:
         room.most = most
-    rays = primary_rays(frame, pixels, width)
+    rays, packet = primary_rays(frame, pixels, shooting.width), None
+    if shooting.packet > 1:
+        packet = packet_numbers(pixels, shooting)
     if pass_ == SHADOW:
         primary = _untraced(trace(tree, rays))
     else:
-        primary = _traced(*trace_recorded(tree, rays, room=rooms[PRIMARY]))
+        primary = _traced(*trace_recorded(tree, rays, room=rooms[PRIMARY], together=Together(packet)))
     hits = Hits(primary.prim, primary.t)
-    to_light, owner, surface = shadow_rays(tree, rays, hits, light)
+    to_light, owner, surface = shadow_rays(tree, rays, hits, light, shooting.shadow)
     if pass_ == PRIMARY:
         shadow, owner = _untraced(Hits(np.empty(0, np.int32), np.empty(0))), owner[:0]
     else:
-        shadow = _traced(*trace_recorded(tree, to_light, any_hit=True, room=rooms[SHADOW]))
+        together = Together(
+            None if packet is None else packet[owner], shooting.shadow_order == "cheaper", shooting.shadow_end == "drain"
+        )
+        shadow = _traced(*trace_recorded(tree, to_light, any_hit=True, room=rooms[SHADOW], together=together))
     colours = shade(rays, hits, surface, owner, Hits(shadow.prim, shadow.t))
 
     n = len(pixels)
     sequence = np.empty(n + len(owner), np.int32)
-    _sequence(n, owner, batch, sequence)
+    ends = np.arange(batch, n, batch) if packet is None else packet_starts(pixels, shooting)[batch:-1:batch]
+    _sequence(n, owner, np.append(ends, n), sequence)
     if pass_ == SHADOW:
         sequence = sequence[sequence >= n]
     n_rays, total = len(sequence), len(primary.events) + len(shadow.events)
@@ -192,7 +204,9 @@ def shoot(
         "prim": np.empty(n_rays, np.int32),
         "t": np.empty(n_rays, np.float32),
     }
-    n_hits, n_shadowed = _ray_columns(sequence, pixels, owner, np.uint32(width), primary, shadow, tuple(columns.values()))
+    n_hits, n_shadowed = _ray_columns(
+        sequence, pixels, owner, np.uint32(shooting.width), primary, shadow, tuple(columns.values())
+    )
     columns["ray"] = np.arange(n_rays, dtype=np.uint32)
     n_shadow, is_shaded = n_rays if pass_ == SHADOW else n_rays - n, pass_ != PRIMARY
     return Chunk(columns, accesses, pixels, colours, n_prefetches, n_leaves, n_hits, n_shadow, n_shadowed, is_shaded)
@@ -207,7 +221,9 @@ def _untraced(hits: Hits) -> Traced:
 
 
 def smaller_pieces(start: int, stop: int, batch: int, pass_: int | None) -> list[tuple[int, int, int | None]]:
-    """Return the (start, stop, pass) of pixels that together make the rows of a chunk, in order, and take less memory.
+    """Return the (start, stop, pass) that together make the rows of a chunk, in order, and take less memory.
+
+    ``start`` and ``stop`` count pixels, or packets of them, as ``batch`` does.
 
     Halves of whole batches; a single batch is traced twice, first its primary rays, then its shadow rays.
     """

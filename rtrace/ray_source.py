@@ -10,12 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nptrace_base.errors import NptraceError
 from rtrace.camera import pixel_order
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
 from rtrace.render import Shooting, command_of, footer_of
 from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
 from rtrace.traverse import NoRoomError
+from rtrace.trees.rtsah import cheaper_children
 from rtrace.trees.tree import Tree, node_table
 from traces.format import LEAF, PRIMARY, SHADOW
 from traces.identity import identity_of
@@ -58,6 +60,12 @@ class RayUnits:
     """
 
     def __init__(self, scene: Scene, tree: Tree, shooting: Shooting) -> None:
+        if shooting.packet > 1:
+            raise NptraceError(
+                f"an estimate samples single rays, and not packets of {shooting.packet}; render the run and replay it instead"
+            )
+        if shooting.shadow_order == "cheaper":
+            tree = tree._replace(cheaper=cheaper_children(tree))
         self._tree, self._light, self._shooting = tree, scene.light, shooting
         self._frame = scene.camera.frame(shooting.width, shooting.height)
         self._pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
@@ -141,7 +149,7 @@ class RayUnits:
         waiting = [(0, len(pixels), which)]
         while waiting:
             start, stop, pass_ = waiting.pop()
-            given = self._tree, self._frame, self._light, pixels[start:stop], self._shooting.width, batch
+            given = self._tree, self._frame, self._light, pixels[start:stop], self._shooting, batch
             try:
                 yield shoot(*given, pass_, MOST_EVENTS)
             except NoRoomError:

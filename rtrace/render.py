@@ -18,13 +18,15 @@ import numpy as np
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.pools import thread_pool
-from rtrace.camera import format_camera, pixel_order
+from rtrace.camera import format_camera
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.packets import packet_starts, shot_pixels
 from rtrace.ray_file import RayFile, ray_chunks
 from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
 from rtrace.shooting import Shooting as Shooting
 from rtrace.traverse import NoRoomError
+from rtrace.trees.rtsah import cheaper_children
 from rtrace.trees.tree import Tree, node_table
 from rtrace.trees.tree_cache import cached_tree
 from traces.footer import CameraFacts, Footer, SceneFacts, TreeFacts
@@ -39,7 +41,7 @@ AHEAD = 1  # chunks traced but not yet written, per thread
 #: Called with a run, its phase, and an amount to do or None; returns what is called with the amount done.
 Phase = Callable[[str, str, int | None], Callable[[int], object]]
 
-_Piece = tuple[int, int, int | None]  # first pixel, the one after the last, which pass
+_Piece = tuple[int, int, int | None]  # first pixel or packet, the one after the last, which pass
 
 
 class Summary(NamedTuple):
@@ -91,15 +93,20 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
     if threads < 1:
         raise NptraceError(f"threads must be at least 1, got {threads}")
     frame = scene.camera.frame(shooting.width, shooting.height)
-    pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
-    batch = shooting.batch or len(pixels)
-    following = _pieces(len(pixels), batch)
+    pixels = shot_pixels(shooting)
+    starts = packet_starts(pixels, shooting)
+    n = len(starts) - 1
+    batch = shooting.n_together or n
+    following = _pieces(n, batch, CHUNK // shooting.packet)
+    if shooting.shadow_order == "cheaper":
+        tree = tree._replace(cheaper=cheaper_children(tree))
     waiting: deque[tuple[_Piece, Future[Chunk]]] = deque()
     with thread_pool(threads) as pool:
 
         def submitted(piece: _Piece) -> tuple[_Piece, Future[Chunk]]:
             start, stop, which = piece
-            given = tree, frame, scene.light, pixels[start:stop], shooting.width, batch, which, MOST_EVENTS
+            chosen = pixels[starts[start] : starts[stop]]
+            given = tree, frame, scene.light, chosen, shooting, batch, which, MOST_EVENTS
             return piece, pool.submit(shoot, *given)
 
         waiting.extend(map(submitted, islice(following, AHEAD * threads)))
@@ -118,16 +125,19 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
                 future.cancel()
 
 
-def _pieces(n: int, batch: int) -> Iterator[_Piece]:
-    """Yield the (start, stop, pass) of the chunks of n pixels; of batches beyond a chunk the primary rays come first."""
-    if batch <= CHUNK:
-        step = batch * (CHUNK // batch)
+def _pieces(n: int, batch: int, most: int) -> Iterator[_Piece]:
+    """Yield the (start, stop, pass) of chunks of up to ``most`` of n pixels, or packets of them.
+
+    Of batches beyond a chunk the primary rays come first.
+    """
+    if batch <= most:
+        step = batch * (most // batch)
         yield from ((start, min(start + step, n), None) for start in range(0, n, step))
         return
     for first in range(0, n, batch):
         for which in (PRIMARY, SHADOW):
             last = min(first + batch, n)
-            yield from ((start, min(start + CHUNK, last), which) for start in range(first, last, CHUNK))
+            yield from ((start, min(start + most, last), which) for start in range(first, last, most))
 
 
 def command_of(scene: Scene, tree: Tree, shooting: Shooting | RayFile) -> str:
@@ -146,9 +156,16 @@ def command_of(scene: Scene, tree: Tree, shooting: Shooting | RayFile) -> str:
     words += [
         "--pixels", f"{shooting.width}x{shooting.height}",
         "--camera", format_camera(scene.camera), "--light", ",".join(map(repr, scene.light)),
-        "--order", shooting.order, "--batch", str(shooting.batch), "--seed", str(shooting.seed), *builder,
+        "--order", shooting.order, "--batch", str(shooting.batch), "--seed", str(shooting.seed), *_knobs(shooting), *builder,
     ]  # fmt: skip
     return shlex.join(words)
+
+
+def _knobs(shooting: Shooting) -> list[str]:
+    """Return the options of packets and shadow rays that are not as usual, so that usual commands are as they always were."""
+    names, usual = ("packet", "shadow", "shadow_order", "shadow_end"), Shooting()
+    given = [(name, getattr(shooting, name)) for name in names if getattr(shooting, name) != getattr(usual, name)]
+    return [word for name, value in given for word in (f"--{name.replace('_', '-')}", str(value))]
 
 
 def footer_of(scene: Scene, tree: Tree, shooting: Shooting | RayFile, tool_version: str) -> Footer:
@@ -253,6 +270,9 @@ def render_all(
     twice = next((path for path in paths if paths.count(path) > 1), None)
     if twice is not None:
         raise NptraceError(f"two scenes would both be {twice}; name them apart with --name, once per SCENE and --camera")
+    if isinstance(shooting, Shooting):
+        for kind in params:
+            shooting.check_format(kind)
     n_steps = shooting.n_rays if isinstance(shooting, RayFile) else shooting.width * shooting.height
     with thread_pool(threads) as pool:
         jobs = [(s, pool.submit(cached_tree, s, kind, **given)) for s in scenes for kind, given in params.items()]

@@ -1,7 +1,8 @@
 """A scene, a tree and rays -> the name of their run, which tells it from the runs of other scenes, pictures and trees.
 
 ``<scene>-<tree>`` is the run of the scene's own view with every default. What differs follows, in a fixed order:
-``sponza-standin-bvh``, ``sponza-kdtree-max_level16``, ``sponza-bvh-binned-morton-batch0-512x512-camera-a1b2c3``.
+``sponza-standin-bvh``, ``sponza-kdtree-max_level16``, ``sponza-bvh-binned-morton-batch0-512x512-camera-a1b2c3``,
+``sponza-kdtree-tile-packet64-shadow-hit``.
 """
 
 import inspect
@@ -30,6 +31,11 @@ def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: Shoot
         parts.append(f"seed{shooting.seed}")
     if shooting.batch != usual["batch"]:
         parts.append(f"batch{shooting.batch}")
+    if shooting.packet != usual["packet"]:
+        parts.append(f"packet{shooting.packet}")
+    for name in ("shadow", "shadow_order", "shadow_end"):
+        if getattr(shooting, name) != usual[name]:
+            parts.append(f"{name.replace('_', '-')}-{getattr(shooting, name)}")
     if (shooting.width, shooting.height) != (usual["width"], usual["height"]):
         parts.append(f"{shooting.width}x{shooting.height}")
     return "-".join([*parts, *([scene.view] if scene.view else [])])

@@ -1,4 +1,4 @@
-"""Hits and a light -> the shadow rays of the hits that face it, and the shaded pixels."""
+"""Hits and a light -> the shadow rays, of the hits that face it or of more pixels, and the shaded pixels."""
 
 import math
 from typing import NamedTuple
@@ -7,11 +7,13 @@ import numpy as np
 
 from nptrace_base.jit import kernel
 from rtrace.rays import Hits, Rays
+from rtrace.shooting import SHADOWS
 from rtrace.trees.tree import Tree
 
 #: Shadow rays start this far from the surface, and end this far before the light, relative to the largest coordinate: four
 #: units in the last place of float32. No fixed distance is right at every scale (docs/correctness.md).
 OFFSET = 2.0 * 2.0**-22
+LIT, ALL = SHADOWS.index("lit"), SHADOWS.index("all")
 #: A hit near the world's origin has small coordinates, but not a small error: the eye and the triangle's corners enter it in
 #: float64, of which this share of their coordinates is a generous bound.
 LEAST = 2.0**-16
@@ -49,11 +51,29 @@ def _normal(tri, c):
 
 
 @kernel
-def _shadow_rays(triangles, eye, light, directions, hits, surface, rays, owner):
-    """Write a shadow ray for each hit on a surface that faces the light; return their number.
+def _way_out(eye, direction, bounds):
+    """Return where a ray leaves the box ``bounds``, and if it passes the box by, its point nearest to the box's middle."""
+    near, far, along, length = 0.0, np.inf, 0.0, 0.0
+    for k in range(3):
+        low, high, d = bounds[0, k] - eye[k], bounds[1, k] - eye[k], direction[k]
+        along += 0.5 * (low + high) * d
+        length += d * d
+        if d != 0.0:
+            near, far = max(near, min(low / d, high / d)), min(far, max(low / d, high / d))
+        elif low > 0.0 or high < 0.0:
+            far = -1.0
+    t = far if near <= far else max(along / length, 0.0)
+    return eye[0] + t * direction[0], eye[1] + t * direction[1], eye[2] + t * direction[2]
 
-    ``rays`` gets the shadow rays, ``owner`` the index of each one's primary ray, ``surface`` a row for every primary ray.
+
+@kernel
+def _shadow_rays(triangles, eye, lamp, directions, hits, surface, rays, owner):
+    """Write a shadow ray for each hit on a surface that faces the light, or for more pixels; return their number.
+
+    ``lamp`` is where the light is, which pixels send a ray (a place in ``SHADOWS``), and the scene's box. ``rays`` gets the
+    shadow rays, ``owner`` the index of each one's primary ray, ``surface`` a row for every primary ray.
     """
+    light, senders, bounds = lamp
     prim, t = hits
     facing, normal = surface
     origin, to_light, _, t_max = rays
@@ -62,29 +82,38 @@ def _shadow_rays(triangles, eye, light, directions, hits, surface, rays, owner):
     eye_size = LEAST * max(abs(eye[0]), abs(eye[1]), abs(eye[2]))
     for i in range(prim.size):
         facing[i] = 0.0
-        if prim[i] < 0:
-            continue
-        nx, ny, nz = _normal(triangles, prim[i])
         dx, dy, dz = np.float64(directions[i, 0]), np.float64(directions[i, 1]), np.float64(directions[i, 2])
-        if nx * dx + ny * dy + nz * dz > 0.0:
-            nx, ny, nz = -nx, -ny, -nz
-        normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
-        px, py, pz = eye[0] + t[i] * dx, eye[1] + t[i] * dy, eye[2] + t[i] * dz
-        lx, ly, lz = light[0] - px, light[1] - py, light[2] - pz
-        cosine = nx * lx + ny * ly + nz * lz
-        if not cosine > 0.0:
-            continue
-        size = max(eye_size, abs(px), abs(py), abs(pz))
-        for corner in range(3):
-            for k in range(3):
-                size = max(size, LEAST * abs(triangles[prim[i], corner, k]))
+        if prim[i] < 0:
+            if senders != ALL:
+                continue
+            px, py, pz = _way_out(eye, (dx, dy, dz), bounds)
+            nx, ny, nz, cosine = 0.0, 0.0, 0.0, 0.0
+            size = max(eye_size, abs(px), abs(py), abs(pz))
+        else:
+            nx, ny, nz = _normal(triangles, prim[i])
+            if nx * dx + ny * dy + nz * dz > 0.0:
+                nx, ny, nz = -nx, -ny, -nz
+            normal[i, 0], normal[i, 1], normal[i, 2] = nx, ny, nz
+            px, py, pz = eye[0] + t[i] * dx, eye[1] + t[i] * dy, eye[2] + t[i] * dz
+            lx, ly, lz = light[0] - px, light[1] - py, light[2] - pz
+            cosine = nx * lx + ny * ly + nz * lz
+            if not cosine > 0.0:
+                if senders == LIT:
+                    continue
+                if cosine < 0.0:
+                    nx, ny, nz = -nx, -ny, -nz  # the ray starts on the side of the surface where the light is
+            size = max(eye_size, abs(px), abs(py), abs(pz))
+            for corner in range(3):
+                for k in range(3):
+                    size = max(size, LEAST * abs(triangles[prim[i], corner, k]))
         off = OFFSET * size
         ox, oy, oz = np.float32(px + nx * off), np.float32(py + ny * off), np.float32(pz + nz * off)
         lx, ly, lz = np.float32(light[0] - ox), np.float32(light[1] - oy), np.float32(light[2] - oz)
         reach = max(abs(lx), abs(ly), abs(lz))
         if not reach > 0.0:
             continue
-        facing[i] = cosine / np.sqrt((light[0] - px) ** 2 + (light[1] - py) ** 2 + (light[2] - pz) ** 2)
+        if cosine > 0.0:
+            facing[i] = cosine / np.sqrt((light[0] - px) ** 2 + (light[1] - py) ** 2 + (light[2] - pz) ** 2)
         last = 1.0 - OFFSET * max(size, light_size) / reach
         if last <= 0.0:
             continue  # the light is as near as float32 can tell: nothing can stand between
@@ -115,13 +144,23 @@ def _shade(prim, directions, surface, owner, occluder, colours):
             colours[i, k] = np.uint8(255.0 * np.sqrt(min(light * (0.80 + 0.20 * normal[i, k]), 1.0)))
 
 
-def shadow_rays(tree: Tree, primary: Rays, hits: Hits, light: tuple[float, float, float]) -> tuple[Rays, np.ndarray, Surface]:
-    """Return the shadow rays of hits that face the light.
+def shadow_rays(
+    tree: Tree, primary: Rays, hits: Hits, light: tuple[float, float, float], senders: str = "lit"
+) -> tuple[Rays, np.ndarray, Surface]:
+    """Return the shadow rays of hits that face the light, or of more pixels.
+
+    Parameters
+    ----------
+    senders : str
+        ``shooting.SHADOWS``: ``hit`` adds those of surfaces that face away, which start on the far side of the surface, the
+        light's; ``all`` those of pixels without a hit, which start where the primary ray leaves the scene's box, or, if it
+        passes the box by, at its point nearest to the box's middle.
 
     Returns
     -------
     rays : Rays
-        From the surface (offset along the normal) to the light; direction = light - origin, not of unit length.
+        From the surface (offset along the normal) to the light; direction = light - origin, not of unit length. There is none
+        from where the light is, as nearly as float32 can tell.
     owner : (m,) int32
         The primary ray of each.
     surface : Surface
@@ -133,7 +172,8 @@ def shadow_rays(tree: Tree, primary: Rays, hits: Hits, light: tuple[float, float
     at = np.array(light, np.float64)
     # A light that float32 cannot hold is brought nearer by a power of two: seen from any scene, it stays where it was.
     at *= 2.0 ** min(0, 126 - math.frexp(float(np.abs(at).max()))[1])
-    m = _shadow_rays(tree.triangles, eye, at, primary.direction, hits, surface, rays, owner)
+    lamp = at, np.uint8(SHADOWS.index(senders)), tree.bounds.astype(np.float64)
+    m = _shadow_rays(tree.triangles, eye, lamp, primary.direction, hits, surface, rays, owner)
     return Rays(*(array[:m] for array in rays)), owner[:m], surface
 
 

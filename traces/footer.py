@@ -13,6 +13,9 @@ from traces.format import FORMAT_VERSION, RunError
 from traces.frame import Point
 from traces.node_formats import NODE_FORMATS, NodeFormat
 
+#: The first version that knows packets, whose accesses are those of their first ray.
+PACKET_VERSION = 3
+
 #: Bytes that a node may have: with fewer than 2^32 nodes no address overflows.
 MAX_NODE_BYTES = 1 << 20
 
@@ -77,6 +80,10 @@ class Footer:
         The layout of the nodes, and the policy of the recorded requests.
     image_sha256 : str or None
         Of ``image.png``; runs of earlier versions lack it.
+    packet : int
+        Rays that walk the tree as one, at most; 1: each walks alone.
+    shadow, shadow_order, shadow_end : str
+        Which pixels send a shadow ray; which child it searches first; what is read after its hit (``nptrace render``).
     rays : dict or None
         Of a run of rays from a file, that file and the checksum of its rays; a ray is then a pixel, ``order`` begins with
         ``rays-``, and there is no picture.
@@ -99,6 +106,10 @@ class Footer:
     prefetch: Mapping[str, Any] = field(default_factory=lambda: {"policy": "stack", "budget": "unlimited"})
     image_sha256: str | None = None
     rays: Mapping[str, Any] | None = None
+    packet: int = 1
+    shadow: str = "lit"
+    shadow_order: str = "sign"
+    shadow_end: str = "stop"
     n_accesses: int = 0
     n_rays: int = 0
     n_nodes: int = 0
@@ -107,10 +118,11 @@ class Footer:
         """Return the text in the files."""
         values = asdict(self)
         values["tree"] |= values["tree"].pop("params")
-        for name in _OPTIONAL:
-            if values[name] is None:
+        for name, usual in _OPTIONAL.items():
+            if values[name] == usual:
                 del values[name]
-        return json.dumps({"format_version": self.tree.node_format.version, **values}, sort_keys=True).encode()
+        version = max(self.tree.node_format.version, PACKET_VERSION if self.packet > 1 else 1)
+        return json.dumps({"format_version": version, **values}, sort_keys=True).encode()
 
     def differences(self, other: "Footer") -> list[str]:
         """Return the entries in which two runs differ; their versions and the places of their meshes do not count."""
@@ -120,11 +132,16 @@ class Footer:
         return [name for name in _CONTENT if getattr(self, name) != getattr(other, name)]
 
 
-#: Entries that a run may lack.
-_OPTIONAL = ("image_sha256", "rays")
+#: The entries that a run may lack, and what they are then: a run has only those that say something.
+_OPTIONAL = {
+    "image_sha256": None, "rays": None, "packet": 1, "shadow": "lit", "shadow_order": "sign", "shadow_end": "stop"
+}  # fmt: skip
 
 #: The entries that decide the bytes of a run, apart from its scene.
-_CONTENT = ("camera", "light", "width", "height", "order", "batch", "seed", "tree", "layout", "prefetch")
+_CONTENT = (
+    "camera", "light", "width", "height", "order", "batch", "seed", "packet", "shadow", "shadow_order", "shadow_end", "tree",
+    "layout", "prefetch",
+)  # fmt: skip
 
 
 def parse_footer(text: bytes, path: Path) -> Footer:

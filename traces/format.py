@@ -19,7 +19,7 @@ import pyarrow as pa
 from nptrace_base.errors import NptraceError
 
 #: The newest version. A run has the oldest one that describes it, so that programs that know that one read it.
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 ROW_GROUP = 1 << 18  # rows: a page, which is one column of them, is 2 MB at most
 METADATA_KEY = b"nptrace"
 

@@ -6,7 +6,7 @@ A new kind of result keeps a ``RunIdentity`` and puts ``**identity.to_dict()`` f
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, get_type_hints
 
 from traces.footer import Footer
@@ -36,6 +36,10 @@ class RunIdentity:
         Order of the pixels; ``order_seed`` is its seed, None unless it is random.
     batch : int or None
         Primary rays before their shadow rays; 0: all.
+    packet : int or None
+        Rays that walk the tree as one, at most.
+    shadow, shadow_order, shadow_end : str or None
+        Which pixels send a shadow ray, which child it searches first, what is read after its hit.
     camera, light : str or None
         As ``nptrace render`` takes them.
     """
@@ -51,6 +55,10 @@ class RunIdentity:
     order: str | None = None
     order_seed: int | None = None
     batch: int | None = None
+    packet: int | None = None
+    shadow: str | None = None
+    shadow_order: str | None = None
+    shadow_end: str | None = None
     camera: str | None = None
     light: str | None = None
 
@@ -62,6 +70,13 @@ class RunIdentity:
     def pixels(self) -> str | None:
         """The picture's size, ``WxH``."""
         return None if self.width is None else f"{self.width}x{self.height}"
+
+    @property
+    def knobs(self) -> list[str]:
+        """What of the packets and shadow rays is not as usual, each as a short text."""
+        usual = {each.name: each.default for each in fields(Footer)}
+        facts, names = _facts(self), ("packet", "shadow", "shadow_order", "shadow_end")
+        return [facts[name] for name in names if getattr(self, name) not in (None, usual[name])]
 
 
 #: Names and types of the columns, in order.
@@ -76,7 +91,8 @@ def identity_of(footer: Footer, run: str, path: str | None = None) -> RunIdentit
     return RunIdentity(
         run=run, path=path, scene=footer.scene.name, stand_in=footer.scene.stand_in, tree=footer.tree.kind, builder=params,
         width=footer.width, height=footer.height, order=footer.order,
-        order_seed=footer.seed if footer.order == "random" else None, batch=footer.batch,
+        order_seed=footer.seed if footer.order == "random" else None, batch=footer.batch, packet=footer.packet,
+        shadow=footer.shadow, shadow_order=footer.shadow_order, shadow_end=footer.shadow_end,
         camera=camera_text(footer.camera), light=point_text(footer.light),
     )  # fmt: skip
 
@@ -137,6 +153,10 @@ def _facts(of: RunIdentity) -> dict[str, str]:
         "order": of.order or "",
         "order_seed": "" if of.order_seed is None else f"seed {of.order_seed}",
         "batch": "" if of.batch is None else f"batch {of.batch}",
+        "packet": "" if of.packet is None else f"packet {of.packet}",
+        "shadow": f"shadow {of.shadow}" if of.shadow else "",
+        "shadow_order": f"shadow-order {of.shadow_order}" if of.shadow_order else "",
+        "shadow_end": f"shadow-end {of.shadow_end}" if of.shadow_end else "",
         "camera": f"camera {short_hash(of.camera)}" if of.camera else "",
         "light": f"light {short_hash(of.light)}" if of.light else "",
     }

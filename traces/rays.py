@@ -52,6 +52,11 @@ def traced_rays(run: Run) -> TracedRays:
     RunError
         The footer's camera shows nothing, or a shadow ray has no primary ray that hits.
     """
+    if run.footer.shadow == "all":
+        raise RunError(
+            f"{run.path} has shadow rays of pixels without a hit, and where those start is not in a run; render it with "
+            "--shadow hit or lit"
+        )
     footer, rays = run.footer, run.columns("rays", ["x", "y", "type", "count", "prim", "t"])
     of_picture = _frame(run)
     pixels = rays["y"].astype(np.uint32) * np.uint32(footer.width) + rays["x"]

@@ -6,6 +6,7 @@ import numpy as np
 
 from cachesim.clock.state import Rows
 from cachesim.source import RunSource
+from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 from traces.format import PREFETCH, PRIMARY
 
@@ -22,6 +23,11 @@ class Stretches:
 
     def __init__(self, source: RunSource) -> None:
         self._run = source.run
+        if source.run.footer.packet > 1:
+            raise NptraceError(
+                f"{source.run.path} has packets of {source.run.footer.packet} rays, and on the clock every ray reads for "
+                "itself; time a run of --packet 1"
+            )
         rays = source.run.columns("rays", ["x", "y", "type", "count"])
         self._numbers = np.flatnonzero(rays["count"])  # the rays that take time
         self.n_rays = self._numbers.size

@@ -95,7 +95,8 @@ def _title(identity: RunIdentity) -> str:
 
 def _order_of(identity: RunIdentity) -> str:
     seed = "" if identity.order_seed is None else f" seed {identity.order_seed}"
-    return f"{identity.order or ''}{seed}" + (f", batch {identity.batch}" if identity.batch not in (None, 1) else "")
+    batch = [f"batch {identity.batch}"] if identity.batch not in (None, 1) else []
+    return ", ".join([f"{identity.order or ''}{seed}", *batch, *identity.knobs])
 
 
 def drawn_ways(points: Sequence[Point]) -> list[Point]:

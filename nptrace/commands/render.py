@@ -10,7 +10,17 @@ from nptrace.groups import Command
 from nptrace.options import gathered, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, size_text
-from nptrace.scene_options import Picture, Scenes, Trees, check_run_names, own_rays, ray_options, scene_options, tree_options
+from nptrace.scene_options import (
+    Picture,
+    Scenes,
+    Trees,
+    check_run_names,
+    own_rays,
+    packet_options,
+    ray_options,
+    scene_options,
+    tree_options,
+)
 from nptrace.sources import again
 
 if TYPE_CHECKING:
@@ -23,6 +33,7 @@ if TYPE_CHECKING:
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
 @tree_options
 @ray_options("128x128")
+@packet_options
 @click.option(
     "--rays", "ray_file", type=click.Path(path_type=Path), metavar="FILE.parquet",
     help="Trace these rays instead of a picture's: columns origin, direction and, if you like, t_min, t_max, any_hit.",
@@ -53,6 +64,7 @@ def render(
     nptrace render bunny
     nptrace render a/scene.gltf b/scene.gltf --name chair --name table
     nptrace render model.obj --accel bvh --pixels 512x512 --camera "eye=0,2,5 at=0,0,0"
+    nptrace render sponza --pixels 512x512 --order tile --packet 64
     """
     from nptrace.studies import rendered
 

@@ -219,7 +219,7 @@ def _facts(run: "Run") -> dict[str, str]:
     return {
         "scene": f"{of.scene}{' (stand-in)' if of.stand_in else ''}, {footer.scene.n_triangles:,} triangles",
         "tree": f"{of.tree}, {of.builder}; {footer.n_nodes:,} nodes of {footer.tree.node_bytes} bytes",
-        "picture": f"{of.pixels} pixels, order {of.order}, batch {of.batch}", "camera": str(of.camera),
+        "picture": ", ".join([f"{of.pixels} pixels, order {of.order}, batch {of.batch}", *of.knobs]), "camera": str(of.camera),
         "rays": f"{footer.n_rays:,}", "events": f"{footer.n_accesses:,} node reads and prefetch requests",
         "file": str(footer.scene.source), "SHA-256": str(footer.scene.sha256), "written by": f"nptrace {footer.tool_version}",
         "again": footer.command,

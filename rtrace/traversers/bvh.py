@@ -29,7 +29,7 @@ from rtrace.traversers.common import (
 
 
 @inlined
-def _meets_box(nodes, box, from_lower, from_upper, scale, near_t, far_t):
+def meets_box(nodes, box, from_lower, from_upper, scale, near_t, far_t):
     """Return whether the interval near_t to far_t meets the box at ``nodes[box]``, the ray's numbers being in lanes."""
     # The fourth lanes hold the next word of the node and are not looked at.
     lower = scaled_difference(load(nodes, box + LOWER), from_lower, scale)
@@ -87,7 +87,7 @@ def trace_bvh(tree, rays, any_hit, first, hits, count, events):
         sp, pp, node = ZERO, ZERO, ZERO
         while True:
             b = node * BVH_WORDS
-            if _meets_box(nodes, b, from_lower, from_upper, scale, near_t, best):
+            if meets_box(nodes, b, from_lower, from_upper, scale, near_t, best):
                 m, child = np.uint64(meta[b + META]), np.uint64(meta[b + CHILD])
                 axis = m & AXIS_MASK
                 if axis != LEAF_AXIS:

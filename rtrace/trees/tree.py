@@ -70,6 +70,8 @@ class Tree(NamedTuple):
         The builder's parameters, as in a run's footer.
     pairs : (n_pairs,) BVH_PAIR or None
         In the format ``bvh64``: the nodes as kernels read them. Nodes 2k - 1 and 2k are pair k, the root is alone in pair 0.
+    cheaper : (n_nodes,) uint8 or None
+        The child that shadow rays search first, where they are asked to (``rtrace.trees.rtsah``).
     """
 
     kind: str
@@ -82,6 +84,7 @@ class Tree(NamedTuple):
     max_level: int
     params: dict
     pairs: np.ndarray | None = None
+    cheaper: np.ndarray | None = None
 
 
 def in_format(tree: Tree, kind: str) -> Tree:

@@ -77,7 +77,7 @@ VARIANTS = {
     "BVH: box tests one plane after the other": Variant(
         "bvh",
         [
-            ("            if _meets_box(nodes, b", "near_t, best):\n", _SCALAR),
+            ("            if meets_box(nodes, b", "near_t, best):\n", _SCALAR),
             ("        # The origin as seen from a box's", "scale = pack(inverses[0], inverses[1], inverses[2])\n", _FACES),
         ],
     ),

@@ -34,9 +34,9 @@ MUTATIONS = [
     Mutation("verdict: bytes count fills alone", "cachesim/report/replay_tables.py", "traffic = [each.bytes_from_memory / (", "traffic = [each.prefetch_misses * each.config.line_bytes / (", VERDICTS),
     # Borders
     Mutation("border: a batch longer than a chunk is cut", "rtrace/render.py",
-             "step = batch * (CHUNK // batch)", "step = CHUNK", BORDERS + " -k never_cut"),
+             "step = batch * (most // batch)", "step = most", BORDERS + " -k never_cut"),
     Mutation("border: a chunk holds one batch too few and ends inside it", "rtrace/render.py",
-             "step = batch * (CHUNK // batch)", "step = max(batch, CHUNK - 1)", BORDERS + " -k never_cut"),
+             "step = batch * (most // batch)", "step = max(batch, most - 1)", BORDERS + " -k never_cut"),
     Mutation("border: first in 32 bits", "rtrace/render.py", '+= np.uint64(n_accesses)', '+= np.uint64(n_accesses & 0xFFFFFFFF)', BORDERS + " -k 32_bits"),
     Mutation("border: rays of later chunks numbered from 0", "rtrace/render.py", 'chunk.rays["ray"] += np.uint32(n_rays)', 'chunk.rays["ray"] += np.uint32(0)', BORDERS + " -k 32_bits"),
     Mutation("border: lines of nodes from addresses of 32 bits", "cachesim/lines.py",

@@ -104,7 +104,7 @@ MUTATIONS = [
     Mutation("formats: a derived stream has leaves", "cachesim/prefetch.py", "if boxes != CHILD_BOXES or n_lines[node] > 0:", "if True:", PREFETCH),
     Mutation("formats: leaves are exported", "traces/din.py", "+ [LEAF] * (not run.footer.tree.node_format.reads_leaves)", "", f"{FORMATS} tests/traces/test_node_formats.py"),
     Mutation("formats: leaves of 64-byte nodes may be requested", "traces/validation.py", "*((PREFETCH,) if node_format.reads_leaves else ())", "PREFETCH", "tests/traces/test_node_formats.py"),
-    Mutation("formats: every run has the newest version", "traces/footer.py", '"format_version": self.tree.node_format.version', '"format_version": FORMAT_VERSION', "tests/traces/test_footer.py"),
+    Mutation("formats: every run has the newest version", "traces/footer.py", "version = max(self.tree.node_format.version, PACKET_VERSION if self.packet > 1 else 1)", "version = FORMAT_VERSION", "tests/traces/test_footer.py"),
     Mutation("formats: a run of version 1 may have any nodes", "traces/footer.py", "if each.version <= version]", "if each.version]", "tests/traces/test_footer.py"),
     Mutation("formats: inner nodes by level are in the order of their numbers", "cachesim/layout.py", '_positions(np.argsort(nodes["level"][inner], kind="stable"))', "np.arange(inner.size)", FORMATS),
     Mutation("formats: an estimate counts leaves", "rtrace/ray_source.py", "if self.reads_leaves:\n            return stretches", "if True:\n            return stretches", FORMATS),

@@ -21,7 +21,7 @@ MUTATIONS = [
     Mutation("traversal: rays that are none are traced", "rtrace/intersect.py", "return t_max if total - total == 0.0 and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan", "return t_max", RULES),
     Mutation("traversal: rays without a direction are traced", "rtrace/intersect.py", " and (dx != 0.0 or dy != 0.0 or dz != 0.0) else np.nan", " else np.nan", RULES),
     Mutation("room: holds any number of events", "rtrace/traverse.py", "room.events.size >= room.most", "room.events.size >= 1000 * room.most", MEMORY),
-    Mutation("room: a long ray alone is refused too", "rtrace/traverse.py", "if n > 1 and room.most is not None", "if room.most is not None", MEMORY),
+    Mutation("room: a long ray alone is refused too", "rtrace/traverse.py", "if n_together > 1 and room.most is not None", "if room.most is not None", MEMORY),
     Mutation("chunks: halves of a batch keep their shadow rays", "rtrace/chunk.py", "return [(start, stop, PRIMARY), (start, stop, SHADOW)]", "return [(start, start + 1, None), (start + 1, stop, None)]", MEMORY),
     Mutation("chunks: pieces of a chunk in the wrong order", "rtrace/render.py", "reversed(smaller_pieces(piece[0], piece[1], batch, piece[2]))", "smaller_pieces(piece[0], piece[1], batch, piece[2])", MEMORY),
     Mutation("chunks: the limit is not handed on", "rtrace/render.py", "batch, which, MOST_EVENTS", "batch, which, None", MEMORY),

@@ -1,6 +1,8 @@
 """The names of runs: two scenes never share one, no run is lost unasked, and every run is found."""
 
 import os
+import shlex
+import shutil
 
 import pytest
 from click.testing import CliRunner
@@ -63,6 +65,8 @@ def test_a_name_changes_no_byte_of_a_run(folder):
         (["a/model.obj", "--pixels", "128x9"], "height"),
         (["a/model.obj", "--batch", "0"], "batch"),
         (["a/model.obj", "--order", "tile"], "order"),
+        (["a/model.obj", "--packet", "4"], "packet"),
+        (["a/model.obj", "--shadow", "all"], "shadow"),
         (["a/model.obj", "--camera", "eye=1,2,3 at=0,0,0"], "camera, light"),
         (["a/model.obj", "--light", "1,2,3"], "light"),
         (["a/model.obj", "--bvh", "binned"], "tree"),
@@ -118,6 +122,9 @@ def test_a_stand_in_does_not_replace_the_real_scene(folder, monkeypatch):
         (["--pixels", "128x128", "--order", "scanline", "--batch", "1", "--seed", "3"], "model-bvh"),
         (["--order", "morton", "--batch", "0"], "model-bvh-morton-batch0"),
         (["--order", "random", "--seed", "3"], "model-bvh-random-seed3"),
+        (["--order", "tile", "--packet", "64", "--pixels", "9x8"], "model-bvh-tile-packet64-9x8"),
+        (["--batch", "4", "--shadow", "hit", "--shadow-end", "drain"], "model-bvh-batch4-shadow-hit-shadow-end-drain"),
+        (["--packet", "1", "--shadow", "lit", "--shadow-order", "cheaper"], "model-bvh-shadow-order-cheaper"),
         (["--bvh", "binned", "--pixels", "9x8"], "model-bvh-binned-9x8"),
         (["--accel", "kdtree", "--kd", "c_trav=2,c_isect=2"], "model-kdtree-c_trav2"),
         (["--accel", "kdtree", "--kd", "coarse"], "model-kdtree-max_level16"),
@@ -126,6 +133,20 @@ def test_a_stand_in_does_not_replace_the_real_scene(folder, monkeypatch):
 def test_a_run_is_named_by_what_differs_from_the_defaults(folder, args, name):
     run("a/model.obj", *(args if "--accel" in args else [*SMALL, *args]))
     assert os.listdir("traces") == [name]
+
+
+def test_the_command_of_a_run_makes_it_again(folder):
+    shutil.copy("a/model.obj", "model.obj")
+    knobs = ["--packet", "4", "--shadow", "hit", "--shadow-order", "cheaper", "--shadow-end", "drain"]
+    for given in ([], knobs, knobs[2:4]):
+        run("model.obj", *SMALL, "--pixels", "9x7", *given, "--out", "one", "--name", "x")
+        program, _, *args = shlex.split(open_run("one/x-bvh").footer.command)
+        assert program == "nptrace" and args[-len(given) - 2 : -2] == given
+        run(*args, "--out", "two", "--name", "x")
+        for name in os.listdir("one/x-bvh"):
+            assert (folder / "one/x-bvh" / name).read_bytes() == (folder / "two/x-bvh" / name).read_bytes()
+        for made in ("one", "two"):
+            shutil.rmtree(made)
 
 
 def test_each_camera_and_light_has_its_run(folder):

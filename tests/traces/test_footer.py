@@ -29,6 +29,14 @@ def test_what_is_written_is_parsed():
     assert parse_footer(json.dumps(values() | {"of another tool": 1}).encode(), HERE) == GOOD
 
 
+def test_a_usual_run_has_no_entry_of_packets_and_shadow_rays():
+    """So its bytes are those of earlier versions."""
+    knobs = {"packet": 4, "shadow": "hit", "shadow_order": "cheaper", "shadow_end": "drain"}
+    assert not values().keys() & knobs.keys()
+    other = replace(GOOD, **knobs)
+    assert values(other).keys() & knobs.keys() == knobs.keys() and parse_footer(other.to_json(), HERE) == other
+
+
 ENTRIES = [
     *(name for name in values() if name != "image_sha256"),
     *(f"scene.{name}" for name in values()["scene"]),
@@ -115,8 +123,11 @@ def test_a_run_has_the_oldest_version_that_describes_it():
     assert values(newer)["format_version"] == 2
     assert parse_footer(newer.to_json(), HERE) == newer
     assert newer.differences(GOOD) == ["tree"]
-    for version in (0, 3, True, "2", 1.5):
-        with pytest.raises(RunError, match=f"has format version {version}, and this program reads 1 to 2"):
+    packets = replace(GOOD, packet=64)
+    assert values(packets)["format_version"] == values(replace(newer, packet=4))["format_version"] == 3
+    assert parse_footer(packets.to_json(), HERE) == packets
+    for version in (0, 4, True, "2", 1.5):
+        with pytest.raises(RunError, match=f"has format version {version}, and this program reads 1 to 3"):
             parse_footer(changed("format_version", version), HERE)
 
 
@@ -131,8 +142,8 @@ def test_a_run_has_the_oldest_version_that_describes_it():
         ({"light": (1.0, 2.0, 3.0), "seed": 1}, ["light", "seed"]),
         ({"camera": replace(GOOD.camera, fov=46.0)}, ["camera"]),
         ({"tree": replace(GOOD.tree, params={"builder": "binned"})}, ["tree"]),
-        *(({name: 77}, [name]) for name in ("width", "height", "batch")),
-        *(({name: "other"}, [name]) for name in ("order", "layout")),
+        *(({name: 77}, [name]) for name in ("width", "height", "batch", "packet")),
+        *(({name: "other"}, [name]) for name in ("order", "layout", "shadow", "shadow_order", "shadow_end")),
         ({"prefetch": {"policy": "none"}}, ["prefetch"]),
     ],
 )

@@ -19,6 +19,10 @@ CHANGES = {
     "512x128": {"width": 512},
     "morton": {"order": "morton"},
     "batch 0": {"batch": 0},
+    "packet 64": {"packet": 64},
+    "shadow hit": {"shadow": "hit"},
+    "shadow-order cheaper": {"shadow_order": "cheaper"},
+    "shadow-end drain": {"shadow_end": "drain"},
     "camera": {"camera": CameraFacts((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 45.0)},
     "light": {"light": (1.0, 0.0, 0.0)},
 }
@@ -43,6 +47,12 @@ def test_what_varies_is_told_unless_the_name_tells_it(what):
     named = replace(other, run=f"other-{what.replace(' ', '')}")
     if what not in ("scene", "stand-in", "camera", "light"):
         assert labels([one, named])[named] == named.run
+
+
+def test_what_of_packets_and_shadow_rays_is_not_as_usual():
+    assert identity_of(FOOTER, "x").knobs == RunIdentity("x.din").knobs == []
+    other = replace(FOOTER, packet=16, shadow="all", shadow_order="cheaper", shadow_end="drain")
+    assert identity_of(other, "x").knobs == ["packet 16", "shadow all", "shadow-order cheaper", "shadow-end drain"]
 
 
 def test_runs_of_one_name_are_told_by_their_paths():
