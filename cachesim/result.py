@@ -40,6 +40,8 @@ class Result:
         Demand misses on lines that a prefetch had evicted.
     demand_misses_without : int
         Demand misses of the same trace without its prefetches (the paper's configuration A).
+    reads, flush : str
+        What a visit reads (``cachesim.reads``), and when the cache is emptied (``cachesim.flush``).
     """
 
     identity: RunIdentity
@@ -59,6 +61,8 @@ class Result:
     resident: int = 0
     pollution: int = 0
     demand_misses_without: int = 0
+    reads: str = "own"
+    flush: str = "never"
 
     @property
     def demand_accesses(self) -> int:
@@ -123,6 +127,8 @@ class Result:
             "policy_seed": config.seed if config.policy == "random" else None,
             "prefetch": self.prefetch,
             "layout": self.layout,
+            "reads": self.reads,
+            "flush": self.flush,
             "demand_accesses": self.demand_accesses,
             "demand_misses": self.demand_misses,
             "prefetch_accesses": self.prefetch_accesses,

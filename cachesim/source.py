@@ -66,8 +66,8 @@ class RunSource:
         self.identity = run.identity
         self.n_rays: int | None = run.footer.n_rays
         self.n_events: int | None = run.n_accesses
-        self._format, self._node_bytes = run.footer.tree.node_format, run.footer.tree.node_bytes
-        reads_leaves = self._format.reads_leaves
+        self.node_format, self._node_bytes = run.footer.tree.node_format, run.footer.tree.node_bytes
+        reads_leaves = self.node_format.reads_leaves
         if self.layout.name == "stored" and reads_leaves:
             self._addresses = stored_addresses(run.n_nodes, self._node_bytes, self.layout)
         else:
@@ -80,7 +80,7 @@ class RunSource:
         if prefetch.has_unit:
             where = str(self.run.path / "accesses.parquet")
             columns = self.run.columns("nodes", ["n_prims", "level", "parent"])
-            unit = UnitReplay(prefetch, self._format, **columns, n_rows=self.run.n_accesses, where=where)
+            unit = UnitReplay(prefetch, self.node_format, **columns, n_rows=self.run.n_accesses, where=where)
             unit.scout(self.run.batches)
         for group_nodes, group_kinds in self.run.batches():
             for start in range(0, group_nodes.size, BATCH):
@@ -88,7 +88,7 @@ class RunSource:
                 if unit is not None:
                     yield unit.events(nodes, kinds)
                     continue
-                if not self._format.reads_leaves:  # a leaf that is entered is no access
+                if not self.node_format.reads_leaves:  # a leaf that is entered is no access
                     is_access = kinds != KIND_LEAF
                     nodes, kinds = read_only(nodes[is_access]), read_only(kinds[is_access])
                 if prefetch.kind == "traced":

@@ -130,8 +130,8 @@ def open(path: Path | str) -> Run:
 
 def replay(
     sources: Sources = (), /, *, traces: Path | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
-    policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", three_c: bool = False,
-    by: str | None = None, threads: int | None = None,
+    policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", reads: str = "own",
+    flush: str = "never", three_c: bool = False, by: str | None = None, threads: int | None = None,
 ) -> Results:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of caches, exactly, as ``npcache replay`` does.
 
@@ -145,6 +145,11 @@ def replay(
         ``2``, ``"1,2,full"``, ``"1..16"``.
     policy, prefetch, layout : str or list
         As the command's help lists them.
+    reads : str
+        What a visit reads: ``"own"``, its node; ``"children"``, both children of a node that is entered, at once;
+        ``"merged"``, its node unless that lies in the line read last.
+    flush : str
+        ``"never"``, or ``"ray"``: the caches are empty when a ray starts (lru and fifo).
     three_c : bool
         Classify misses as compulsory, capacity or conflict.
     by : str, optional
@@ -158,18 +163,24 @@ def replay(
         A value is wrong, or a source cannot be read.
     """
     from cachesim.by_group import BY, GroupedRecords
+    from cachesim.flush import FLUSHES
+    from cachesim.reads import READS
     from cachesim.report import group_tables, replay_tables
-    from nptrace.studies import replayed, replayed_by
+    from nptrace.studies import check_whole, replayed, replayed_by
 
-    if by not in (None, *BY):
-        raise NptraceError(f"by: {by!r} is not one of {', '.join(BY)}")
+    for name, value, known in (("by", by, (None, *BY)), ("reads", reads, READS), ("flush", flush, FLUSHES)):
+        if value not in known:
+            raise NptraceError(f"{name}: {value!r} is not one of {', '.join(filter(None, known))}")
+    check_whole(by, reads, flush)
     configs, policies, layouts = replay_plan(size, ways, line, policy, seed, prefetch, layout)
     chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
         if by is not None:
             grouped = replayed_by(chosen, configs, policies, layouts, by, bar, three_c=three_c, threads=threads)
             return Results("replay", GroupedRecords(grouped), lambda: group_tables.tables(grouped))
-        results = replayed(chosen, configs, policies, layouts, bar, three_c=three_c, threads=threads)
+        results = replayed(
+            chosen, configs, policies, layouts, bar, reads=reads, flush=flush, three_c=three_c, threads=threads
+        )  # fmt: skip
     return Results("replay", [each.to_dict() for each in results], lambda: replay_tables.tables(results))
 
 
@@ -298,17 +309,29 @@ def estimate(
 
 
 def table1(
-    sources: Sources = (), /, *, traces: Path | str = "traces", policy: str = "lru", layout: str = "stored",
-    threads: int | None = None,
+    sources: Sources = (), /, *, traces: Path | str = "traces", policy: str = "lru", layout: str = "stored", n: str = "paper",
+    hit: int = 1, miss: int = 100, threads: int | None = None,
 ) -> Results:  # fmt: skip
-    """Return Table I of the paper beside ours from existing runs, as ``npcache table1`` does."""
+    """Return Table I of the paper beside ours from existing runs, as ``npcache table1`` does.
+
+    Parameters
+    ----------
+    n : str
+        Accesses per ray in the ACPR: ``"paper"``, ``"measured"``, or the kd-tree's and the BVH's, ``"15.77,27"``.
+    hit, miss : int
+        Cycles of a hit and of a miss, in the ACPR and in time; from 1.
+    """
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
     from nptrace.studies import table1_rows, table1_runs
 
+    for name, cycles in (("hit", hit), ("miss", miss)):
+        if not (type(cycles) is int and cycles >= 1):
+            raise NptraceError(f"{name}: {cycles!r} is no number of cycles; write a whole number from 1")
+    equation = table.Equation(hit, miss, table.parse_n(n))
     runs = [each if isinstance(each, Run) else open_run(each) for each in _chosen(sources, traces)]
     with Progress() as bar:
-        rows = table1_rows(table1_runs(runs, traces), bar, policy=policy, layout=layout, threads=threads)
+        rows = table1_rows(table1_runs(runs, traces), bar, policy=policy, layout=layout, equation=equation, threads=threads)
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cachesim.clock.timing import Timing
     from cachesim.config import CacheConfig
     from cachesim.layout import Layout
-    from cachesim.report.table1 import Table1Row
+    from cachesim.report.table1 import Equation, Table1Row
     from cachesim.result import Result
     from cachesim.source import Source
     from cachesim.sweep import SweepRow
@@ -63,21 +63,37 @@ def rendered(
 
 def replayed(
     sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
-    bar: Progress, *, three_c: bool = False, threads: int | None = None,
+    bar: Progress, *, reads: str = "own", flush: str = "never", three_c: bool = False, threads: int | None = None,
 ) -> "list[Result]":  # fmt: skip
     """Replay every source under every layout and prefetch policy through every cache, the caches fastest."""
+    from cachesim.flush import FlushedSource, emptied
     from cachesim.prefetch import parse_prefetch
+    from cachesim.reads import reads_of
     from cachesim.replay import replay
 
     policies = [parse_prefetch(text) for text in prefetches]
     results: list[Result] = []
-    for source in _opened(sources, layouts):
-        source.check_passes(len(policies))
+    for opened in _opened(sources, layouts):
+        opened.check_passes(len(policies))
+        source: Source = reads_of(opened, reads, configs[0].line_bytes)
+        if flush == "ray":
+            source = FlushedSource(source, configs)
         for policy in policies:
             bar.job(source.identity.run)
             advance = bar.phase(f"replay, prefetch {policy}", source.n_events)
-            results += replay(source, configs, prefetch=policy, three_c=three_c, threads=threads, progress=advance)
+            found = replay(source, configs, prefetch=policy, three_c=three_c, threads=threads, progress=advance)
+            for result in found:
+                result.reads, result.flush = reads, flush
+            results += emptied(found) if flush == "ray" else found
     return results
+
+
+def check_whole(by: str | None, reads: str, flush: str) -> None:
+    """Raise NptraceError if parts of counts are asked for with options that only whole caches know."""
+    from nptrace_base.errors import NptraceError
+
+    if by is not None and (reads, flush) != ("own", "never"):
+        raise NptraceError(f"reads {reads} and flush {flush} are for the counts of whole caches, not by {by}; leave by out")
 
 
 def replayed_by(
@@ -158,14 +174,14 @@ def compared(
 
 def table1_rows(
     chosen: dict[tuple[str, str], Run], bar: Progress, *, policy: str = "lru", layout: str = "stored",
-    threads: int | None = None,
+    equation: "Equation | None" = None, threads: int | None = None,
 ) -> "list[Table1Row]":  # fmt: skip
     """Return Table I for the runs that ``table1.choose_runs`` found."""
     from cachesim.report.table1 import table1
 
     bar.job("Table I")
     advance = bar.phase("replay and time", 2 * sum(run.n_accesses for run in chosen.values()))
-    return table1(chosen, policy=policy, layout=layout, threads=threads, progress=advance)
+    return table1(chosen, policy=policy, layout=layout, equation=equation, threads=threads, progress=advance)
 
 
 def table1_runs(runs: Sequence[Run], where: Any) -> dict[tuple[str, str], Run]:

@@ -302,9 +302,10 @@ class _Part:
         from nptrace_base.records import write_parquet
         from traces.identity import COLUMNS
 
-        three_c = bool(self.study.sections[self.name].get("three_c"))
+        section = self.study.sections[self.name]
+        how = {name: section[name] for name in ("three_c", "reads", "flush") if section.get(name)}
         asked = [self.run.footer.to_json().decode(), str(self.run.path), self.name, repr(self.of), self.layout,
-                 [*self.prefetches], three_c]  # fmt: skip
+                 [*self.prefetches], how]  # fmt: skip
         path = self.study.out / f"study-{hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:16]}.parquet"
         if path.exists():
             bar.job(self.run.name)
@@ -313,18 +314,18 @@ class _Part:
             except (pa.ArrowException, OSError) as e:
                 raise NptraceError(f"{path} is no part of a study: it cannot be read; delete it, and it is made again") from e
             return found
-        made = [{**each.run_columns, "section": self.name, **each.others} for each in self._made(bar, threads, three_c)]
+        made = [{**each.run_columns, "section": self.name, **each.others} for each in self._made(bar, threads, how)]
         with whole_file(path) as temporary:
             write_parquet(made, temporary, COLUMNS)
         return made
 
-    def _made(self, bar: Progress, threads: int | None, three_c: bool) -> Iterator["_Row"]:
+    def _made(self, bar: Progress, threads: int | None, how: dict[str, Any]) -> Iterator["_Row"]:
         from nptrace.studies import replayed, swept, timed
 
         runs, layouts = [self.run], [self.layout]
         results: Sequence[Any]
         if self.name == "replay":
-            results = replayed(runs, self.of, self.prefetches, layouts, bar, three_c=three_c, threads=threads)
+            results = replayed(runs, self.of, self.prefetches, layouts, bar, threads=threads, **how)
         elif self.name == "sweep":
             results = swept(runs, self.of, self.prefetches, layouts, bar, threads=threads)
         else:

@@ -42,6 +42,9 @@ class Watched(NamedTuple):
     def on_leaf_end(self, machine, slot):
         hooks.on_leaf_end(self.unit, machine, slot)
 
+    def on_end(self, machine, slot):
+        hooks.on_end(self.unit, machine, slot)
+
     def on_visit(self, machine, slot, line, outcome):
         if outcome == FIRST_USE:
             self.used[self.requested_for[line]] = 1

@@ -12,69 +12,88 @@ from cachesim.policies.machine import Machine, drop, offer, stop_waiting
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import inlined
 
-FORM = "stack[:budget=K|tris*K|unlimited][:once][:empty][:level=L][:live]"
+FORM = "stack[:budget=K|tris*K|unlimited][:once][:persist|restart][:empty|pop][:level=L][:live]"
 HELP = (
-    "the paper's unit: at a leaf the stack from the top down; empty (without a clock): leaves without triangles too; "
-    "live: only entries that the ray will read"
+    "the paper's unit: at a leaf the stack from the top down, where a push sets its pointer to the top; persist: only if it "
+    "is there already; restart: each leaf sets it there; empty (without a clock): leaves without triangles too; pop: at every "
+    "pop, not at leaves; live: only entries that the ray will read"
 )
 
 UNLIMITED = np.iinfo(np.int64).max
+#: What sets the pointer to the top of the stack: a push; a push while it is there already; a push and each trigger.
+TOP, PERSIST, RESTART = range(3)
+_RESETS = {"persist": PERSIST, "restart": RESTART}
 
 
 class Stack(NamedTuple):
     """While a leaf's triangles are tested, request the entries of the ray's stack from the pointer down, one at a time.
 
-    A push sets the pointer to the top, a pop moves it down with the top; it stays where it stopped.
+    A push sets the pointer to the top, a pop moves it down with the top; it stays where it stopped. With ``pop`` the time for
+    requests runs from a pop to the next pop or push instead.
 
     Attributes
     ----------
-    pointer, left : (n_slots,) int64
-        Entries below the pointer, and requests that the leaf in test still allows.
+    pointer, left, open : (n_slots,) int64
+        Entries below the pointer; requests that the leaf in test, or the pop, still allows; and those of them to come.
     asked : (n_slots, depth) uint8
         Whether an entry has been requested since it was pushed.
     wanted : (n_rows,) uint8
         Per demand row: whether the entry pushed there may be requested; empty: all may.
     budget, per_triangle
         Most requests at a leaf, or for each of its triangles.
-    once, empty
-        Request an entry once only; let leaves without triangles trigger.
+    once, empty, pop
+        Request an entry once only; let leaves without triangles trigger; let pops trigger, and no leaf.
+    reset : int
+        ``TOP``, ``PERSIST`` or ``RESTART``.
     levels : int
         Deepest level that is requested.
     """
 
     pointer: np.ndarray
     left: np.ndarray
+    open: np.ndarray
     asked: np.ndarray
     wanted: np.ndarray
     budget: int
     per_triangle: bool
     once: bool
     empty: bool
+    pop: bool
+    reset: int
     levels: int
 
     def on_start(self, machine, slot):
         self.pointer[slot] = 0
         self.left[slot] = 0
+        self.open[slot] = 0
 
     def on_push(self, machine, slot):
-        self.pointer[slot] = machine.sp[slot]
+        if self.pop:
+            close(self, machine, slot)
+        if self.reset != PERSIST or self.pointer[slot] == machine.sp[slot] - 1:
+            self.pointer[slot] = machine.sp[slot]
         self.asked[slot, machine.sp[slot] - 1] = 0
 
     def on_pop(self, machine, slot):
+        if self.pop:
+            close(self, machine, slot)
         self.pointer[slot] = min(self.pointer[slot], machine.sp[slot])
+        if self.pop:
+            begin(self, machine, slot, self.budget)
 
     def on_leaf(self, machine, slot, node):
         n_prims = np.int64(machine.tree.n_prims[node])
-        if n_prims == 0 and not self.empty:
+        if self.pop or (n_prims == 0 and not self.empty):
             return
-        self.left[slot] = self.budget * n_prims if self.per_triangle else self.budget
-        offer(machine, slot, n_candidates(self, machine, slot))
+        begin(self, machine, slot, self.budget * n_prims if self.per_triangle else self.budget)
 
     def on_leaf_end(self, machine, slot):
-        stop_waiting(machine, slot)
-        if self.left[slot] > 0:
-            drop(machine, slot, n_candidates(self, machine, slot))
-            self.left[slot] = 0
+        if not self.pop:
+            close(self, machine, slot)
+
+    def on_end(self, machine, slot):
+        if self.pop:
+            close(self, machine, slot)
 
     def request(self, machine, slot):
         while self.left[slot] > 0 and self.pointer[slot] > 0:
@@ -88,6 +107,27 @@ class Stack(NamedTuple):
         self.pointer[slot] -= 1
         self.asked[slot, self.pointer[slot]] = 1
         self.left[slot] -= 1
+        self.open[slot] -= 1
+
+
+@inlined
+def begin(unit, machine, slot, budget):
+    """Offer the entries from the pointer down, ``budget`` of them at most."""
+    if unit.reset == RESTART:
+        unit.pointer[slot] = machine.sp[slot]
+    unit.left[slot] = budget
+    unit.open[slot] = n_candidates(unit, machine, slot)
+    offer(machine, slot, unit.open[slot])
+
+
+@inlined
+def close(unit, machine, slot):
+    """Drop what has not been requested."""
+    stop_waiting(machine, slot)
+    if unit.open[slot] > 0:
+        drop(machine, slot, unit.open[slot])
+    unit.open[slot] = 0
+    unit.left[slot] = 0
 
 
 @inlined
@@ -135,13 +175,17 @@ def parse_unit(options: Sequence[str]) -> dict[str, Any]:
             new = {"budget": UNLIMITED if budget[1] == "unlimited" else int(budget[3]), "per_triangle": budget[2] is not None}
         elif option.startswith("level="):
             new = {"levels": whole(option, "level", 0, 1 << 16)}
-        elif option in ("once", "empty"):
+        elif option in ("once", "empty", "pop"):
             new = {option: True}
+        elif option in _RESETS:
+            new = {"reset": _RESETS[option]}
         else:
             raise NptraceError(f"{option!r} is not one of its options")
         if values.keys() & new.keys():
             raise NptraceError(f"{option!r} contradicts or repeats an option before it")
         values |= new
+    if values.get("pop") and (values.get("empty") or values.get("per_triangle")):
+        raise NptraceError("'pop' needs no leaf, and empty and tris*K say something of leaves; leave one out")
     return {"budget": UNLIMITED, "per_triangle": False} | values
 
 
@@ -158,7 +202,9 @@ def shown(values: dict[str, Any]) -> list[str]:
     budget = values["budget"]
     text = "unlimited" if budget == UNLIMITED else f"{'tris*' if values['per_triangle'] else 'budget='}{budget}"
     level = [f"level={values['levels']}"] if "levels" in values else []
-    return [text, *(name for name in ("once", "empty", "live") if values.get(name)), *level]
+    words = [name for name in ("once", "empty", "pop", "live") if values.get(name)]
+    words[1 if "once" in words else 0 : 0] = [word for word, reset in _RESETS.items() if values.get("reset") == reset]
+    return [text, *words, *level]
 
 
 def scout(machine: Machine, facts: Facts, *, live: bool = False, **options: Any) -> Reads | None:
@@ -168,16 +214,18 @@ def scout(machine: Machine, facts: Facts, *, live: bool = False, **options: Any)
 
 def make_unit(
     machine: Machine, facts: Facts, *, budget: int = UNLIMITED, per_triangle: bool = False, once: bool = False,
-    empty: bool = False, levels: int = 1 << 16, live: bool = False, scouted: Reads | None = None,
+    empty: bool = False, pop: bool = False, reset: int = TOP, levels: int = 1 << 16, live: bool = False,
+    scouted: Reads | None = None,
 ) -> Stack:  # fmt: skip
     """Return the unit of a machine."""
     n_slots = machine.sp.size
     return Stack(
         pointer=np.zeros(n_slots, np.int64),
         left=np.zeros(n_slots, np.int64),
+        open=np.zeros(n_slots, np.int64),
         asked=np.zeros(machine.stack.shape, np.uint8),
         wanted=np.empty(0, np.uint8) if scouted is None else scouted.used,
-        budget=budget, per_triangle=per_triangle, once=once, empty=empty, levels=levels,
+        budget=budget, per_triangle=per_triangle, once=once, empty=empty, pop=pop, reset=reset, levels=levels,
     )  # fmt: skip
 
 

@@ -83,7 +83,9 @@ def _changes(ratios: Sequence[float]) -> str:
 
 def _source(result: Result, names: Mapping[RunIdentity, str]) -> str:
     layout = f", layout {result.layout}" if result.layout != "stored" else ""
-    return f"{names[result.identity]}, prefetch {result.prefetch}{layout}"
+    reads = f", reads {result.reads}" if result.reads != "own" else ""
+    flush = f", flush {result.flush}" if result.flush != "never" else ""
+    return f"{names[result.identity]}, prefetch {result.prefetch}{layout}{reads}{flush}"
 
 
 def _tables_of_group(title: str, names: Mapping[RunIdentity, str], results: list[Result]) -> list[Table]:

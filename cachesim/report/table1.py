@@ -6,8 +6,9 @@ ACPR / (1 + 99 R) is the same in every row). The demand metric stands beside it.
 """
 
 import csv
+import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,43 @@ SCENES = ("bunny", "conference", "sibenik", "sponza")
 PAPER_N = {"kdtree": 15.77, "bvh": 27.00}
 HIT_CYCLES, MISS_CYCLES = 1, 100
 
+
+@dataclass(frozen=True)
+class Equation:
+    """The numbers of the paper's equation 1.
+
+    Attributes
+    ----------
+    hit, miss : int
+        Cycles of a node access that hits, and of one that misses.
+    n : mapping
+        Accesses per ray, by tree; a tree that is missing has the measured number.
+    """
+
+    hit: int = HIT_CYCLES
+    miss: int = MISS_CYCLES
+    n: Mapping[str, float] = field(default_factory=lambda: PAPER_N)
+
+    def acpr(self, n: float | None, miss_rate: float | None) -> float | None:
+        """Return the average cycles a ray spends on node accesses."""
+        if n is None or miss_rate is None:
+            return None
+        return n * ((1 - miss_rate) * self.hit + miss_rate * self.miss)
+
+
+def parse_n(text: str) -> Mapping[str, float]:
+    """Return N by tree: ``paper``, ``measured``, or two numbers, the kd-tree's and the BVH's, as in ``15.77,27``."""
+    if text in ("paper", "measured"):
+        return PAPER_N if text == "paper" else {}
+    try:
+        values = [float(word) for word in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != len(TREES) or not all(0 < value < math.inf for value in values):
+        raise NptraceError(f"{text!r} is not N; write paper, measured, or the kd-tree's and the BVH's, e.g. 15.77,27")
+    return dict(zip(TREES, values, strict=True))
+
+
 #: The paper's columns: miss rate in per cent, bandwidth in KB, ACPR in cycles; ratios are b/a in per cent.
 NAMES = ("miss_a", "miss_b", "miss_ratio", "kb_a", "kb_b", "kb_ratio", "acpr_a", "acpr_b", "acpr_ratio")
 
@@ -43,7 +81,8 @@ Key = tuple[str, str, int, int]  # tree, scene, size_bytes, ways
 class Table1Row:
     """One row: ``ours`` and ``paper`` by the names above.
 
-    ``nodes_per_ray`` is the measured N (accesses per ray), ``timing`` the same cache on the machine ``paper`` of the clock.
+    ``nodes_per_ray`` is the measured N (accesses per ray), ``timing`` the same cache on the machine ``paper`` of the clock,
+    and ``equation`` that of the ACPR.
     """
 
     tree: str
@@ -55,6 +94,12 @@ class Table1Row:
     paper: dict[str, float]
     nodes_per_ray: float | None
     timing: Timing
+    equation: Equation = field(default_factory=Equation)
+
+    @property
+    def n(self) -> float | None:
+        """The N of the ACPR."""
+        return self.equation.n.get(self.tree, self.nodes_per_ray)
 
     @property
     def is_stand_in(self) -> bool:
@@ -71,7 +116,7 @@ class Table1Row:
         ours = self.ours[name]
         if ours is None or self.nodes_per_ray is None:
             return None
-        return ours / PAPER_N[self.tree] * self.nodes_per_ray
+        return ours / self.n * self.nodes_per_ray if self.n else None
 
 
 def paper_table() -> dict[Key, dict[str, float]]:
@@ -90,8 +135,8 @@ def caches() -> list[CacheConfig]:
 
 
 def acpr(n: float, miss_rate: float | None) -> float | None:
-    """Return the average cycles a ray spends on node accesses, the paper's equation 1."""
-    return None if miss_rate is None else n * ((1 - miss_rate) * HIT_CYCLES + miss_rate * MISS_CYCLES)
+    """Return the average cycles a ray spends on node accesses, the paper's equation 1 with its numbers."""
+    return Equation().acpr(n, miss_rate)
 
 
 def choose_runs(runs: Iterable[Run]) -> dict[tuple[str, str], Run]:
@@ -125,14 +170,16 @@ def missing(chosen: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
 
 
 def table1(
-    chosen: Mapping[tuple[str, str], Run], *, policy: str = "lru", layout: str = "stored", threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    chosen: Mapping[tuple[str, str], Run], *, policy: str = "lru", layout: str = "stored", equation: Equation | None = None,
+    threads: int | None = None, progress: Callable[[int], None] | None = None,
 ) -> list[Table1Row]:  # fmt: skip
     """Return the rows of Table I for the runs that ``choose_runs`` found, in the paper's order.
 
-    ``policy`` is the caches' replacement, which the clock must know too (lru, fifo or random), and ``layout`` that of the
-    nodes; the paper's numbers beside them are of LRU and its own layout.
+    ``policy`` is the caches' replacement, which the clock must know too (lru, fifo or random), ``layout`` that of the nodes,
+    and ``equation`` that of the ACPR and of the clock; the paper's numbers beside them are of its own.
     """
+    equation = equation or Equation()
+    clock = PRESETS["paper"].clock.with_numbers(hit=equation.hit, miss=equation.miss)
     paper = paper_table()
     rows = []
     for (tree, scene), run in sorted(chosen.items(), key=lambda item: (list(TREES).index(item[0][0]), item[0][1])):
@@ -140,20 +187,21 @@ def table1(
         configs = [CacheConfig(size, ways, 32, policy) for _, _, size, ways in keys]
         source = as_source(run, layout)
         results = replay(source, configs, threads=threads, progress=progress)
-        timings = time_run(source, configs, [PRESETS["paper"].clock], threads=threads, progress=progress)
+        timings = time_run(source, configs, [clock], threads=threads, progress=progress)
         for key, result, timing in zip(keys, results, timings, strict=True):
-            rows.append(_row(key, result, timing, paper[key]))
+            rows.append(_row(key, result, timing, paper[key], equation))
     return rows
 
 
-def _row(key: Key, result: Result, timing: Timing, paper: dict[str, float]) -> Table1Row:
+def _row(key: Key, result: Result, timing: Timing, paper: dict[str, float], equation: Equation) -> Table1Row:
     tree, scene, size_bytes, ways = key
     miss_a = ratio(result.demand_misses_without, result.demand_accesses)
-    miss_b, n = result.paper_miss_rate, PAPER_N[tree]
+    per_ray = ratio(result.demand_accesses, result.n_rays or 0)
+    miss_b, n = result.paper_miss_rate, equation.n.get(tree, per_ray)
     ours: dict[str, float | None] = {"miss_a": _percent(miss_a), "miss_b": _percent(miss_b)}
     ours["kb_a"] = result.demand_misses_without * result.config.line_bytes / 1024
     ours["kb_b"] = result.bytes_from_memory / 1024
-    ours["acpr_a"], ours["acpr_b"] = acpr(n, miss_a), acpr(n, miss_b)
+    ours["acpr_a"], ours["acpr_b"] = equation.acpr(n, miss_a), equation.acpr(n, miss_b)
     for name in ("miss", "kb", "acpr"):
         a, b = ours[f"{name}_a"], ours[f"{name}_b"]
         ours[f"{name}_ratio"] = None if a is None or b is None else _percent(ratio(b, a))
@@ -166,9 +214,8 @@ def _row(key: Key, result: Result, timing: Timing, paper: dict[str, float]) -> T
         "coverage": _percent(result.coverage),
         "accuracy": _percent(result.accuracy),
     }
-    per_ray = ratio(result.demand_accesses, result.n_rays or 0)
     figures = {n: ours[n] for n in NAMES} | demand
-    return Table1Row(tree, scene, result.identity, size_bytes, ways, figures, paper, per_ray, timing)
+    return Table1Row(tree, scene, result.identity, size_bytes, ways, figures, paper, per_ray, timing, equation)
 
 
 def _percent(fraction: float | None) -> float | None:
@@ -203,6 +250,9 @@ def _record(row: Table1Row) -> dict[str, Any]:
             values[f"{column}_paper"] = _divided(row.paper[name], by, column)
     return values | {
         "accesses_per_ray": row.nodes_per_ray,
+        "acpr_n": row.n,
+        "acpr_hit": row.equation.hit,
+        "acpr_miss": row.equation.miss,
         "acpr_without_measured_n": row.measured_acpr("acpr_a"),
         "acpr_measured_n": row.measured_acpr("acpr_b"),
         "cycles_per_ray_without": ratio(row.timing.cycles_without, row.timing.n_rays),

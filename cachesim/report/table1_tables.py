@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from cachesim.clock.parameters import Clock
 from cachesim.config import format_bytes
-from cachesim.report.table1 import NAMES, PAPER_N, TREES, Table1Row
+from cachesim.report.table1 import NAMES, PAPER_N, TREES, Equation, Table1Row
 from nptrace_base.tables import Table, number, span
 
 _HEADER = (
@@ -49,7 +49,20 @@ def notes(rows: Sequence[Table1Row]) -> list[str]:
     other = [] if (policy, layout) == ("lru", "stored") else [
         f"Ours with {policy} replacement and the layout {layout}; the paper's, whose caches are LRU, are what they are."
     ]  # fmt: skip
-    return [*NOTES, *stand_ins, *other, *verdict(rows)]
+    return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *other, *verdict(rows)]
+
+
+def _acpr_note(rows: Sequence[Table1Row]) -> str:
+    """Return what ACPR is with the equation of the rows."""
+    equation = rows[0].equation
+    if equation == Equation():
+        return ACPR_NOTE
+    by_tree = [f"{equation.n[tree]:.2f} ({title})" if tree in equation.n else f"the measured one ({title})"
+               for tree, title in TREES.items()]  # fmt: skip
+    return (
+        f"ACPR: average cycles per ray for node accesses, N ((1 - R) {equation.hit} + R {equation.miss}) with the paper's "
+        f"miss rate R and N {', '.join(by_tree)}; the paper's has its own N, 1 and 100."
+    )
 
 
 def _tree_table(title: str, rows: Sequence[Table1Row]) -> Table:

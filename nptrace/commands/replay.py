@@ -26,6 +26,15 @@ BY = ("pixel", "level", "node", "ray-type")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+@click.option(
+    "--reads", type=click.Choice(["own", "children", "merged"]), default="own", show_default=True,
+    help="What a visit reads: its node; both children of a node that is entered, at once; or its node unless that lies in the "
+    "line read last.",
+)  # fmt: skip
+@click.option(
+    "--flush", type=click.Choice(["never", "ray"]), default="never", show_default=True,
+    help="Empty the caches after every ray (lru and fifo).",
+)  # fmt: skip
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
 @click.option(
     "--by",
@@ -36,8 +45,8 @@ BY = ("pixel", "level", "node", "ray-type")
 @results_options("dinero")
 @gathered("caches", Caches)
 def replay(
-    sources: tuple[Path, ...], folder: Path, caches: Caches, prefetch: list[str], layout: list[str], three_c: bool,
-    by: str | None, threads: int, output: Output,
+    sources: tuple[Path, ...], folder: Path, caches: Caches, prefetch: list[str], layout: list[str], reads: str, flush: str,
+    three_c: bool, by: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of the cache options, exactly.
 
@@ -52,14 +61,17 @@ def replay(
     """
     from cachesim.by_group import GroupedRecords
     from cachesim.report import group_tables, replay_tables
-    from nptrace.studies import replayed, replayed_by
+    from nptrace.studies import check_whole, replayed, replayed_by
 
     if by is not None and output.form == "dinero":
         raise BadInput("--format dinero has the counts of whole caches, and --by asks for their parts; leave one out")
+    check_whole(by, reads, flush)
     configs, paths, began = caches.configs(), chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
         if by is None:
-            results = replayed(paths, configs, prefetch, layout, bar, three_c=three_c, threads=threads)
+            results = replayed(
+                paths, configs, prefetch, layout, bar, reads=reads, flush=flush, three_c=three_c, threads=threads
+            )  # fmt: skip
             runs = {result.identity for result in results}
         else:
             grouped = replayed_by(paths, configs, prefetch, layout, by, bar, three_c=three_c, threads=threads)

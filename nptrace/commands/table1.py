@@ -1,17 +1,37 @@
 """npcache table1: Table I of the paper beside ours."""
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from nptrace.estimates import Sampling, estimate_scenes
-from nptrace.options import threads_option
+from nptrace.groups import BadInput
+from nptrace.options import gathered, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
 from nptrace.sources import LAYOUT_HELP, again, chosen_sources, traces_option
+
+if TYPE_CHECKING:
+    from cachesim.report.table1 import Equation
+
+
+@dataclass(frozen=True)
+class Acpr:
+    """The values of the options of the paper's equation 1."""
+
+    n: str = "paper"
+    hit: int = 1
+    miss: int = 100
+
+    def equation(self) -> "Equation":
+        """Return the equation."""
+        from cachesim.report.table1 import Equation, parse_n
+
+        return Equation(self.hit, self.miss, parse_n(self.n))
 
 
 @click.command()
@@ -30,11 +50,18 @@ from nptrace.sources import LAYOUT_HELP, again, chosen_sources, traces_option
     help="Replacement; with --target-error lru alone. The clock's caches know no opt.",
 )  # fmt: skip
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
+@click.option(
+    "--n", default="paper", show_default=True, metavar="N",
+    help="Accesses per ray in the ACPR: paper, 15.77 and 27; measured; or the kd-tree's and the BVH's, as 15.77,27.",
+)  # fmt: skip
+@click.option("--hit", type=click.IntRange(1), default=1, show_default=True, help="Cycles of a hit, in the ACPR and in time.")
+@click.option("--miss", type=click.IntRange(1), default=100, show_default=True, help="Cycles of a miss, likewise.")
 @threads_option()
 @results_options()
+@gathered("equation", Acpr)
 def table1(
     sources: tuple[Path, ...], folder: Path, error: str | None, pixels: str, seed: int, policy: str, layout: str,
-    threads: int, output: Output,
+    equation: Acpr, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Print Table I of the paper beside ours, from existing runs or estimated for large pictures.
 
@@ -51,13 +78,16 @@ def table1(
     from traces.reader import open_run
 
     parse_layout(layout)
+    numbers = equation.equation()
     if error is not None:
+        if equation != Acpr():
+            raise BadInput("--target-error has the paper's equation; leave out --n, --hit and --miss, or give runs")
         estimated_table1(Sampling(error, threads=threads), Picture(pixels=pixels, seed=seed), policy, layout, output)
         return
     chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
     began = time.perf_counter()
     with Progress() as bar:
-        rows = table1_rows(chosen, bar, policy=policy, layout=layout, threads=threads)
+        rows = table1_rows(chosen, bar, policy=policy, layout=layout, equation=numbers, threads=threads)
     for tree, scene in table.missing(chosen):
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))

@@ -81,7 +81,7 @@ MUTATIONS = [
     Mutation("rays: a shadow ray begins where any primary ray hits", "traces/rays.py", "    of = primary[place]\n", "    of = primary[place - 1]\n", "tests/traces/test_rays.py"),
     Mutation("live: what is popped unread is wanted", policy("stack"), "        self.used[machine.pushed_at[slot, machine.sp[slot]]] = 1\n", "        self.used[:] = 1\n", UNTIMED),
     Mutation("stack: the level is that of the leaf above", policy("stack"), "machine.tree.level[node] > unit.levels", "machine.tree.level[node] >= unit.levels", UNTIMED),
-    Mutation("stack: what is given up is not counted", policy("stack"), "            drop(machine, slot, n_candidates(self, machine, slot))\n", "", STACK),
+    Mutation("stack: what is given up is not counted", policy("stack"), "        drop(machine, slot, unit.open[slot])\n", "        pass\n", STACK),
     Mutation("candidates: no time for one", policy("machine"), "elif machine.last_issue[slot] == port.now - 1:", "elif machine.last_issue[slot] == port.now:", STACK),
     Mutation("ring: the slot that waits shortest goes first", policy("machine"), "    first = machine.waiting[0, ring]\n", "    first = machine.waiting[1, ring]\n", STACK),
     Mutation("ring: lines asked of a node given up count for the next", policy("machine"), "    machine.lines_asked[slot] = 0\n", "", PUSH),

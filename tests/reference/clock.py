@@ -369,19 +369,50 @@ class NoPolicy:
 class SlowStack(NoPolicy):
     """The paper's unit."""
 
-    def __init__(self, lines, levels, n_prims, budget=None, per_triangle=False, once=False, deepest=10**6, wanted=None):
+    def __init__(
+        self, lines, levels, n_prims, budget=None, per_triangle=False, once=False, deepest=10**6, wanted=None, reset="",
+        pop=False,
+    ):  # fmt: skip
         self.lines, self.levels, self.n_prims = lines, levels, n_prims
         self.budget, self.per_triangle, self.once, self.deepest, self.wanted = budget, per_triangle, once, deepest, wanted
-        self.pointer, self.left = Counter(), Counter()
+        self.reset, self.at_pops = reset, pop
+        self.pointer, self.left, self.open = Counter(), Counter(), Counter()
 
     def start(self, slot):
-        self.pointer[slot.number] = self.left[slot.number] = 0
+        self.pointer[slot.number] = self.left[slot.number] = self.open[slot.number] = 0
 
     def push(self, slot):
-        self.pointer[slot.number] = len(slot.stack)
+        if self.at_pops:
+            self.close(slot.number)
+        was_at_top = self.pointer[slot.number] == len(slot.stack) - 1
+        if was_at_top or self.reset != "persist":
+            self.pointer[slot.number] = len(slot.stack)
 
     def pop(self, slot):
+        if self.at_pops:
+            self.close(slot.number)
         self.pointer[slot.number] = min(self.pointer[slot.number], len(slot.stack))
+        if self.at_pops:
+            self.begin(slot, 1)
+
+    def end(self, slot):
+        if self.at_pops:
+            self.close(slot.number)
+
+    def begin(self, slot, n_triangles):
+        """Offer what the budget allows."""
+        if self.reset == "restart":
+            self.pointer[slot.number] = len(slot.stack)
+        budget = 10**9 if self.budget is None else self.budget
+        self.left[slot.number] = budget * (n_triangles if self.per_triangle else 1)
+        self.open[slot.number] = len(self.candidates(slot.number))
+        self.clock.offer(slot.number, self.open[slot.number])
+
+    def close(self, number):
+        """Drop what is still to come."""
+        self.clock.stop_waiting(number)
+        self.clock.drop(number, self.open[number])
+        self.open[number] = self.left[number] = 0
 
     def candidates(self, number):
         """Return the places of the entries that would be requested now, in order."""
@@ -396,15 +427,12 @@ class SlowStack(NoPolicy):
         return self.wanted is None or bool(self.wanted[entry.row])
 
     def leaf(self, slot):
-        n_prims = self.n_prims[slot.visit.node]
-        budget = 10**9 if self.budget is None else self.budget
-        self.left[slot.number] = budget * (n_prims if self.per_triangle else 1)
-        self.clock.offer(slot.number, len(self.candidates(slot.number)))
+        if not self.at_pops:
+            self.begin(slot, self.n_prims[slot.visit.node])
 
     def leaf_end(self, slot):
-        self.clock.stop_waiting(slot.number)
-        self.clock.drop(slot.number, len(self.candidates(slot.number)))
-        self.left[slot.number] = 0
+        if not self.at_pops:
+            self.close(slot.number)
 
     def request(self, number):
         places = self.candidates(number)
@@ -422,3 +450,4 @@ class SlowStack(NoPolicy):
         self.clock.slots[number].stack[place].asked = True
         self.pointer[number] = place
         self.left[number] -= 1
+        self.open[number] -= 1

@@ -9,17 +9,17 @@ from tests.reference.policies import rows_read
 
 options = st.fixed_dictionaries({
     "budget": st.none() | st.integers(0, 4), "per_triangle": st.booleans(), "once": st.booleans(),
-    "deepest": st.integers(1, 7),
+    "deepest": st.integers(1, 7), "reset": st.sampled_from(["", "", "persist", "restart"]), "pop": st.booleans(),
 })  # fmt: skip
 
 
 def text_of(options, name="stack"):
     """Return the policy as a user writes it, and the options as the model takes them."""
-    budget, per_triangle = options["budget"], options["per_triangle"] and options["budget"] is not None
+    budget, is_timed_by_leaves = options["budget"], not options["pop"]
+    per_triangle = options["per_triangle"] and budget is not None and is_timed_by_leaves
     words = [name, "unlimited" if budget is None else f"tris*{budget}" if per_triangle else f"budget={budget}"]
-    return ":".join([*words, *["once"] * options["once"], f"level={options['deepest']}"]), options | {
-        "per_triangle": per_triangle
-    }
+    words += ["once"] * options["once"] + [options["reset"]] * bool(options["reset"]) + ["pop"] * options["pop"]
+    return ":".join([*words, f"level={options['deepest']}"]), options | {"per_triangle": per_triangle}
 
 
 @given(cases, machines, configs, st.integers(1, 8), options, st.booleans())

@@ -73,7 +73,10 @@ def test_the_options_matter(kind):
     trace = make_trace(kind, 3, n_rays=60, max_level=8)
     n_requests = {
         text: sum(is_request for _, is_request in replayed(trace, text, ()))
-        for text in ("stack", "stack:live", "stack:level=2", "push", "ttp")
-    }
-    assert len(set(n_requests.values())) == 5 and min(n_requests.values()) > 0, n_requests
+        for text in (
+            "stack", "stack:live", "stack:level=2", "stack:persist", "stack:restart", "stack:pop", "stack:pop:restart",
+            "stack:pop:persist", "push", "ttp",
+        )
+    }  # fmt: skip
+    assert len(set(n_requests.values())) == 10 and min(n_requests.values()) > 0, n_requests
     assert n_requests["stack:live"] < n_requests["stack"] > n_requests["stack:level=2"]
