@@ -6,10 +6,10 @@ The run's bytes do not depend on the number of threads: chunks have a fixed size
 import io
 import shlex
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nptrace_base.errors import NptraceError
+from nptrace_base.places import Place
 from nptrace_base.pools import thread_pool
-from rtrace.camera import format_camera, pixel_order
+from rtrace.camera import Camera, Point, format_camera, pixel_order
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.counts import Counts
 from rtrace.ray_file import RayFile, ray_chunks
 from rtrace.run_names import run_name
 from rtrace.scenes.scene import Scene
@@ -39,7 +41,7 @@ AHEAD = 1  # chunks traced but not yet written, per thread
 #: Called with a run, its phase, and an amount to do or None; returns what is called with the amount done.
 Phase = Callable[[str, str, int | None], Callable[[int], object]]
 
-_Piece = tuple[int, int, int | None]  # first pixel, the one after the last, which pass
+Piece = tuple[int, int, int | None]  # first pixel, the one after the last, which pass
 
 
 class Summary(NamedTuple):
@@ -78,10 +80,20 @@ class Summary(NamedTuple):
         return self.n_accesses / self.n_rays
 
 
-def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterator[Chunk]:
+class View(NamedTuple):
+    """What tracing takes of a scene beside its triangles, which a tree has."""
+
+    camera: Camera
+    light: Point
+
+
+def chunks(
+    tree: Tree, scene: Scene | View, shooting: Shooting, threads: int, stretch: Iterable[Piece] | None = None
+) -> Iterator[Chunk]:
     """Yield the traced chunks in shooting order, at most ``AHEAD`` x threads of them in memory.
 
-    A chunk has as many pixels as ``chunk.MOST_EVENTS`` allows, at most about ``CHUNK``.
+    A chunk has as many pixels as ``chunk.MOST_EVENTS`` allows, at most about ``CHUNK``. ``stretch`` are some of the picture's
+    ``pieces``, one after the other; by default all.
 
     Raises
     ------
@@ -91,13 +103,13 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
     if threads < 1:
         raise NptraceError(f"threads must be at least 1, got {threads}")
     frame = scene.camera.frame(shooting.width, shooting.height)
-    pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
+    pixels = pixels_of(shooting)
     batch = shooting.batch or len(pixels)
-    following = _pieces(len(pixels), batch)
-    waiting: deque[tuple[_Piece, Future[Chunk]]] = deque()
+    following = iter(pieces(shooting) if stretch is None else stretch)
+    waiting: deque[tuple[Piece, Future[Chunk]]] = deque()
     with thread_pool(threads) as pool:
 
-        def submitted(piece: _Piece) -> tuple[_Piece, Future[Chunk]]:
+        def submitted(piece: Piece) -> tuple[Piece, Future[Chunk]]:
             start, stop, which = piece
             given = tree, frame, scene.light, pixels[start:stop], shooting.width, batch, which, MOST_EVENTS
             return piece, pool.submit(shoot, *given)
@@ -118,8 +130,16 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
                 future.cancel()
 
 
-def _pieces(n: int, batch: int) -> Iterator[_Piece]:
-    """Yield the (start, stop, pass) of the chunks of n pixels; of batches beyond a chunk the primary rays come first."""
+@lru_cache(1)
+def pixels_of(shooting: Shooting) -> np.ndarray:
+    """Return the pixels in shooting order; the last ones are kept, for a worker that traces part after part of a picture."""
+    return pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
+
+
+def pieces(shooting: Shooting) -> Iterator[Piece]:
+    """Yield the (start, stop, pass) of the chunks of a picture; of batches beyond a chunk the primary rays come first."""
+    n = shooting.width * shooting.height
+    batch = shooting.batch or n
     if batch <= CHUNK:
         step = batch * (CHUNK // batch)
         yield from ((start, min(start + step, n), None) for start in range(0, n, step))
@@ -191,34 +211,30 @@ def render(
     else:
         width, height, traced = shooting.width, shooting.height, chunks(tree, scene, shooting, threads)
     picture = np.zeros((height * width, 3), np.uint8)
-    n_rays = n_accesses = n_prefetches = n_leaves = n_shadow = n_hits = n_shadowed = 0
+    counts = Counts()
     footer = footer_of(scene, tree, shooting, tool_version)
     with RunWriter(path, footer, fields) as run:
         run.append("nodes", partial(node_table, tree))
         for chunk in traced:
-            chunk.rays["ray"] += np.uint32(n_rays)
-            chunk.rays["first"] += np.uint64(n_accesses)
-            chunk.accesses["ray"] += np.uint32(n_rays)
+            counts.add(chunk)
             run.append("rays", chunk.rays)
             run.append("accesses", chunk.accesses)
-            n_rays += len(chunk.rays["ray"])
-            n_accesses += len(chunk.accesses["ray"])
-            n_prefetches += chunk.n_prefetches
-            n_leaves += 0 if node_format.reads_leaves else chunk.n_leaves
-            n_hits += chunk.n_hits
-            n_shadow += chunk.n_shadow
-            n_shadowed += chunk.n_shadowed
             if chunk.is_shaded:
                 picture[chunk.pixels] = chunk.colours
                 progress(len(chunk.pixels))
         on_write()
         run.complete()
-        run.image(_png(picture.reshape(height, width, 3)))
-    n_bytes = sum(file.stat().st_size for file in path.iterdir())
+        run.image(png(picture.reshape(height, width, 3)))
+    return summary(footer, path, counts, len(tree.nodes), sum(file.stat().st_size for file in path.iterdir()))
+
+
+def summary(footer: Footer, path: Place, counts: Counts, n_nodes: int, n_bytes: int) -> Summary:
+    """Return the counts of the run at a place."""
+    n_leaves = 0 if footer.tree.node_format.reads_leaves else counts.n_leaves
     return Summary(
-        identity_of(footer, printable(path.name), printable(str(path))), len(scene.triangles),
-        len(tree.nodes), n_rays, n_hits, n_shadow, n_shadowed,
-        n_accesses - n_prefetches - n_leaves, n_prefetches, n_bytes,
+        identity_of(footer, printable(path.name), printable(str(path))), footer.scene.n_triangles, n_nodes, counts.n_rays,
+        counts.n_hits, counts.n_shadow, counts.n_shadowed, counts.n_accesses - counts.n_prefetches - n_leaves,
+        counts.n_prefetches, n_bytes,
     )  # fmt: skip
 
 
@@ -226,20 +242,21 @@ def render_all(
     scenes: Sequence[Scene],
     params: Mapping[str, Mapping[str, Any]],
     shooting: Shooting | RayFile,
-    folder: Path,
+    folder: Place,
     *,
     names: Sequence[str] = (),
     overwrite: bool = True,
     threads: int = 2,
     tool_version: str = "",
     on_phase: Phase = lambda run, phase, total: lambda done: None,
+    render_one: Callable[..., Summary] = render,
 ) -> Iterator[Summary]:
     """Render each scene with each tree of ``params`` (kind -> builder parameters) as a run in ``folder``.
 
     ``run_names`` names the runs; with ``names``, one per scene, they are ``<name>-<tree>``. The trees are built by threads
     ahead of the pictures; summaries come as the runs are written. ``on_phase`` is called at the start of each phase of a run,
     ``build``, ``trace`` and ``write``, with the run's name, and for ``trace`` with the number of pixels; what it returns is
-    called with the number done.
+    called with the number done. ``render_one`` is ``render``, or ``part_render.render_parts``.
 
     Raises
     ------
@@ -263,13 +280,14 @@ def render_all(
             on_phase(path.name, "build", None)
             built = tree.result()
             traced = on_phase(path.name, "trace", n_steps)
-            yield render(
+            yield render_one(
                 scene, built, shooting, path, threads=threads, tool_version=tool_version, progress=traced,
                 on_write=partial(on_phase, path.name, "write", None),
             )  # fmt: skip
 
 
-def _png(pixels: np.ndarray) -> bytes:
+def png(pixels: np.ndarray) -> bytes:
+    """Return the PNG file of a picture, (height, width, 3) uint8."""
     from PIL import Image
 
     buffer = io.BytesIO()
