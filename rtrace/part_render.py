@@ -113,7 +113,8 @@ def render_parts(
         else:
             if tasks and sizes(path).get(file.name) != file.bytes:
                 publish(path / file.name, *content)
-            results = engine.results(trace_part, tasks)
+            there = replace(job, place=path.absolute() if isinstance(path, Path) else path)  # workers may be in other folders
+            results = engine.results(trace_part, [(there, *task[1:]) for task in tasks])
         for i, finished in results:
             found[tasks[i][1]] = finished
             progress(_n_shaded(tasks[i][2]))

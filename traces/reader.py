@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from html import escape
 from typing import NamedTuple
 
@@ -254,12 +254,18 @@ def open_run(path: Place | str) -> Run:
 
 
 def _parts(manifest: Manifest, path: Place) -> Iterator[Part]:
-    """Yield the parts that a manifest names; a file is read when it is opened, in one request."""
+    """Yield the parts that a manifest names; a file is read when it is opened, the nodes once."""
+    open_nodes = lru_cache(1)(partial(_open_file, path, "nodes", manifest.nodes))
     for part, ray, access in zip(manifest.parts, manifest.first_rays, manifest.first_accesses, strict=True):
         facts = {"rays": part.rays, "accesses": part.accesses, "nodes": manifest.nodes}
         footer = replace(manifest.footer, n_rays=part.rays.rows, n_accesses=part.accesses.rows)
+        openers = {table: partial(_open_file, path, table, file) for table, file in facts.items()} | {"nodes": open_nodes}
         files = {table: path / file.name for table, file in facts.items()}
-        yield Part(partial(_open_file, path, facts), files, footer, ray, access)
+        yield Part(partial(_open_table, openers), files, footer, ray, access)
+
+
+def _open_table(openers: Mapping[str, Callable[[], pq.ParquetFile]], table: str) -> pq.ParquetFile:
+    return openers[table]()
 
 
 def _content(path: Place, file: FileFacts) -> bytes:
@@ -273,8 +279,7 @@ def _content(path: Place, file: FileFacts) -> bytes:
         raise _damaged(where, e) from e
 
 
-def _open_file(path: Place, facts: Mapping[str, FileFacts], table: str) -> pq.ParquetFile:
-    file = facts[table]
+def _open_file(path: Place, table: str, file: FileFacts) -> pq.ParquetFile:
     where = path / file.name
     try:
         found = pq.ParquetFile(pa.BufferReader(_content(path, file)))

@@ -48,12 +48,14 @@ def test_a_killed_worker_costs_no_row(tmp_path, cluster, monkeypatch):
 def test_a_scheduler_that_is_lost_is_one_sentence():
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as running:
-        with engine_of(scheduler=running.scheduler_address) as engine:
-            assert list(engine.results(abs, [(-1,)])) == [(0, 1)]
-            running.close()
-            with pytest.raises(WorkersLostError, match=r"a worker of the cluster was lost \(.*\) with 2 of 2 tasks left"):
-                list(engine.results(abs, [(-1,), (-2,)]))
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as running,
+        engine_of(scheduler=running.scheduler_address) as engine,
+    ):
+        assert list(engine.results(abs, [(-1,)])) == [(0, 1)]
+        running.close()
+        with pytest.raises(WorkersLostError, match=r"a worker of the cluster was lost \(.*\) with 2 of 2 tasks left"):
+            list(engine.results(abs, [(-1,), (-2,)]))
 
 
 @pytest.mark.parametrize(

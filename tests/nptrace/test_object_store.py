@@ -108,8 +108,10 @@ def test_every_command_reads_and_writes_there(requests, small_parts, tmp_path, m
     info = json.loads(run(f"nptrace info {far['path']} --json").stdout)[0]
     assert (info["n_bytes"], info["path"]) == (far["n_bytes"], far["path"])
     assert info["n_events"] == local["n_accesses"] + local["n_prefetches"]
-    for command in ("nptrace export RUN -o OUT.din", "nptrace view RUN -o OUT.png", "nptrace view RUN --heat misses -o OUT2.png",
-                    "npcache plot RUN -o OUT3.png", "npcache report RUN -o OUT.html"):  # fmt: skip
+    for command in (
+        "nptrace export RUN -o OUT.din", "nptrace view RUN -o OUT.png", "nptrace view RUN --heat misses -o OUT2.png",
+        "npcache plot RUN -o OUT3.png", "npcache report RUN -o OUT.html",
+    ):  # fmt: skip
         for of, out in ((local, "local"), (far, "far")):
             run(command.replace("RUN", of["path"]).replace("OUT", out))
     for name in (".din", ".png"):
