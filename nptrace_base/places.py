@@ -206,7 +206,7 @@ def _checked(remote: Remote) -> Remote:
             "environment"
         )
     if not host:
-        raise PlaceError(f"{shown}/ names no bucket; write e.g. {remote.scheme}://bucket/folder")
+        raise PlaceError(f"{remote.scheme}:// names no bucket; write e.g. {remote.scheme}://bucket/folder")
     for name, value in parse_qsl(remote.query, keep_blank_values=True):
         if name not in SCHEMES[remote.scheme] or "@" in value:
             raise PlaceError(

@@ -58,7 +58,7 @@ def assert_same(run, other):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("shooting", "n_parts"), zip(SHOOTINGS, [(9, 3, 1), (8, 3, 1), (16, 6, 1)], strict=True))
+@pytest.mark.parametrize(("shooting", "n_parts"), [*zip(SHOOTINGS, [(9, 3, 1), (8, 3, 1), (16, 6, 1)], strict=True)])
 def test_rows_do_not_depend_on_the_cut(tmp_path, scene, trees, kind, shooting, n_parts):
     whole = render(scene, trees[kind], shooting, tmp_path / "whole", threads=1)
     for part, n in zip((1, 700, 1 << 16), n_parts, strict=True):
