@@ -55,13 +55,15 @@ class Engine:
         left, in_vain = dict(enumerate(tasks)), 0
         while left:
             n_before = len(left)
+            # One task that kills its worker takes those beside it along: after a round in vain they go one by one.
+            chosen = list(left) if not in_vain else [list(left)[in_vain % n_before]]
             reason: BaseException | None = None
             executor = self._start()
             try:
                 futures: dict[Future[_T], int] = {}
                 try:
-                    for number, task in left.items():
-                        futures[executor.submit(function, *task)] = number
+                    for number in chosen:
+                        futures[executor.submit(function, *left[number])] = number
                 except self._lost as e:
                     reason = e
                 for future in as_completed(futures):
@@ -80,7 +82,7 @@ class Engine:
                 raise
             if self._can_restart:
                 executor.shutdown()
-            if left:
+            if reason is not None:
                 in_vain = in_vain + 1 if len(left) == n_before else 0
                 if in_vain == _ROUNDS or not self._can_restart:
                     raise WorkersLostError(

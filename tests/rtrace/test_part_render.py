@@ -81,14 +81,13 @@ def test_files_do_not_depend_on_workers(tmp_path, scene, trees):
     assert len(files) == 3 + 2 * 3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n", [1, 2, 3, 4])
-def test_rows_do_not_depend_on_processes(tmp_path, scene, trees, n):
-    kind = KINDS[n % 3]
-    shooting = Shooting(50, 41, batch=n % 2)  # a worker has pieces of its own size
-    render(scene, trees[kind], shooting, tmp_path / "whole", threads=1)
-    render_parts(scene, trees[kind], shooting, tmp_path / "parts", part=700, engine=processes(n))
-    assert_same(open_run(tmp_path / "parts"), open_run(tmp_path / "whole"))
+@pytest.mark.parametrize("kind", KINDS)
+def test_rows_do_not_depend_on_workers(tmp_path, scene, trees, kind):
+    render(scene, trees[kind], SHOOTINGS[1], tmp_path / "whole", threads=1)
+    for n, part in ((1, 1), (2, 700), (3, 300), (4, 1)):
+        with ThreadPoolExecutor(n) as pool, engine_of(pool) as engine:
+            render_parts(scene, trees[kind], SHOOTINGS[1], tmp_path / f"{n}", part=part, engine=engine)
+        assert_same(open_run(tmp_path / f"{n}"), open_run(tmp_path / "whole"))
 
 
 @pytest.fixture
@@ -129,10 +128,12 @@ def always_killing(job, number, stretch):
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_no_row(tmp_path, scene, trees, monkeypatch):
-    render(scene, trees["bvh"], SHOOTINGS[0], tmp_path / "whole")
+@pytest.mark.parametrize(("kind", "n"), [("bvh", 2), ("kdtree", 3)])
+def test_a_killed_worker_costs_no_row(tmp_path, scene, trees, monkeypatch, kind, n):
+    """The workers are processes, which map the tree."""
+    render(scene, trees[kind], SHOOTINGS[0], tmp_path / "whole")
     monkeypatch.setattr(part_render, "trace_part", killing)
-    render_parts(scene, trees["bvh"], SHOOTINGS[0], tmp_path / "parts", part=700, engine=processes(2))
+    render_parts(scene, trees[kind], SHOOTINGS[0], tmp_path / "parts", part=700, engine=processes(n))
     assert (tmp_path / "parts" / "killed").is_dir()
     assert_same(open_run(tmp_path / "parts"), open_run(tmp_path / "whole"))
 
