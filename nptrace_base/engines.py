@@ -56,7 +56,7 @@ class Engine:
         while left:
             n_before = len(left)
             # One task that kills its worker takes those beside it along: after a round in vain they go one by one.
-            chosen = list(left) if not in_vain else [list(left)[in_vain % n_before]]
+            chosen = list(left) if not in_vain else [list(left)[(in_vain - 1) % n_before]]
             reason: BaseException | None = None
             executor = self._start()
             try:

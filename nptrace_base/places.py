@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
-from urllib.parse import parse_qsl, unquote
+from urllib.parse import parse_qsl, unquote, urlencode, urlsplit
 
 from nptrace_base.atomic import replacing
 from nptrace_base.errors import NptraceError
@@ -221,14 +221,23 @@ def filesystem_of(scheme: str, authority: str, query: str) -> tuple[Any, str]:
     """Return the pyarrow filesystem of an address, made once, and the path in it where the address's own begins."""
     from pyarrow.fs import FileSystem
 
-    if scheme == "s3" and "region" not in dict(parse_qsl(query)):
-        # Where it is not given, Arrow asks Amazon for the region of the bucket, whatever the endpoint.
-        environment = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
-        own = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
-        if region := environment or ("us-east-1" if own else None):
-            query = f"{query}&region={region}".lstrip("&")
-    filesystem, base = FileSystem.from_uri(f"{scheme}://{authority}/" + (f"?{query}" if query else ""))
+    given = dict(parse_qsl(query))
+    if scheme == "s3":
+        given = _from_environment() | given
+    filesystem, base = FileSystem.from_uri(f"{scheme}://{authority}/" + (f"?{urlencode(given)}" if given else ""))
     return filesystem, base.strip("/")
+
+
+def _from_environment() -> dict[str, str]:
+    """Return the parameters of an S3 address that are set in the environment, as Amazon's own programs read them."""
+    found = {}
+    if own := os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL"):
+        url = urlsplit(own if "://" in own else f"https://{own}")
+        # Without a region Arrow asks Amazon for the one of the bucket, whatever the endpoint.
+        found = {"endpoint_override": url.netloc.rpartition("@")[2], "scheme": url.scheme, "region": "us-east-1"}
+    if region := os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION"):
+        found["region"] = region
+    return found
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import pickle
 import re
 import shlex
@@ -31,6 +32,12 @@ def server():
     running.stop()
 
 
+def store():
+    return pyarrow.fs.S3FileSystem(
+        endpoint_override=os.environ["AWS_ENDPOINT_URL"], region="us-east-1", allow_bucket_creation=True
+    )
+
+
 @pytest.fixture
 def requests(server, monkeypatch):
     """What the store is asked; it has the bucket ``runs``, and the environment has its address and keys."""
@@ -39,7 +46,7 @@ def requests(server, monkeypatch):
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", SECRET)
     monkeypatch.delenv("AWS_PROFILE", raising=False)
     filesystem_of.cache_clear()
-    pyarrow.fs.S3FileSystem(allow_bucket_creation=True).create_dir("runs")
+    store().create_dir("runs")
     asked = []
 
     class Log(logging.Handler):
@@ -52,7 +59,7 @@ def requests(server, monkeypatch):
     monkeypatch.setattr(log, "propagate", False)
     log.setLevel(logging.INFO)
     yield asked
-    pyarrow.fs.S3FileSystem().delete_dir_contents("runs")
+    store().delete_dir_contents("runs")
     filesystem_of.cache_clear()
 
 
@@ -71,7 +78,7 @@ def run(command):
 
 
 def stored():
-    found = pyarrow.fs.S3FileSystem().get_file_info(pyarrow.fs.FileSelector("runs", recursive=True))
+    found = store().get_file_info(pyarrow.fs.FileSelector("runs", recursive=True))
     return {each.path: each.size for each in found if each.is_file}
 
 
@@ -157,9 +164,8 @@ def test_a_run_of_other_content_is_kept_there_too(requests):
 def test_no_key_is_in_a_file_or_a_message(requests, tmp_path):
     """Nor in what workers are sent."""
     run(f"{RENDER} s3://runs/a --name x")
-    store = pyarrow.fs.S3FileSystem()
     for name in stored():
-        content = store.open_input_stream(name).readall()
+        content = store().open_input_stream(name).readall()
         assert KEY.encode() not in content and SECRET.encode() not in content
     sent = pickle.dumps(nt.open("s3://runs/a/x-bvh").path)
     assert SECRET.encode() not in sent and KEY.encode() not in sent

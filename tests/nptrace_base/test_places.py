@@ -136,7 +136,8 @@ def test_what_a_store_answers_is_one_sentence(bucket, monkeypatch):
         )
 
 
-def test_the_region_is_not_asked_of_amazon_for_a_store_of_ones_own(monkeypatch):
+def test_endpoint_and_region_come_from_the_environment_unless_they_are_given(monkeypatch):
+    """Amazon is not asked for the region of a store of one's own."""
     asked = []
 
     class FileSystem:
@@ -151,13 +152,18 @@ def test_the_region_is_not_asked_of_amazon_for_a_store_of_ones_own(monkeypatch):
     of = places.filesystem_of.__wrapped__
     assert of("s3", "bucket", "") == (None, "bucket")
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
-    of("s3", "bucket", "scheme=http")
+    of("s3", "bucket", "scheme=https")
     monkeypatch.setenv("AWS_DEFAULT_REGION", "eu-west-1")
     of("s3", "bucket", "")
+    monkeypatch.delenv("AWS_ENDPOINT_URL")
+    of("s3", "bucket", "")
     of("s3", "bucket", "region=x")
+    of("gs", "bucket", "")
     assert asked == [
         "s3://bucket/",
-        "s3://bucket/?scheme=http&region=us-east-1",
+        "s3://bucket/?endpoint_override=127.0.0.1%3A1&scheme=https&region=us-east-1",
+        "s3://bucket/?endpoint_override=127.0.0.1%3A1&scheme=http&region=eu-west-1",
         "s3://bucket/?region=eu-west-1",
         "s3://bucket/?region=x",
+        "gs://bucket/",
     ]
