@@ -12,6 +12,7 @@ from cachesim.lines import AddressLines, Lines, NodeLines, read_only
 from cachesim.prefetch import KIND_LEAF, KIND_PREFETCH, REQUEST, Prefetch, UnitReplay
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
+from nptrace_base.places import Place, Remote, place
 from traces.address_files import AddressFile, is_address_file
 from traces.din import DinTrace
 from traces.format import printable
@@ -41,20 +42,20 @@ class Source(Protocol):
         """Return the lines of this source for one line size; a prefetcher may go ``ahead`` lines beyond an access."""
 
 
-def open_source(path: Path | str, layout: Layout | str = "stored") -> Source:
-    """Open a run's directory, a trace of addresses in CSV or Parquet, or DineroIV's: a file, a pipe, or - for stdin."""
-    path = Path(path)
-    if not path.is_dir() and (path == STDIN or path.exists() or path.suffix == ".din"):
+def open_source(path: Place | str, layout: Layout | str = "stored") -> Source:
+    """Open a run, a trace of addresses in CSV or Parquet, or DineroIV's: a file, a pipe, or - for stdin."""
+    path = place(path)
+    if isinstance(path, Path) and not path.is_dir() and (path == STDIN or path.exists() or path.suffix == ".din"):
         stream = Stream(path)
         return DinSource(AddressFile(stream) if is_address_file(stream) else DinTrace(stream), layout)
     return RunSource(open_run(path), layout)
 
 
-def as_source(source: "Source | Run | Path | str", layout: Layout | str = "stored") -> Source:
+def as_source(source: "Source | Run | Place | str", layout: Layout | str = "stored") -> Source:
     """Return what can be replayed as a source; ``layout`` is that of a run or path, a source has its own."""
     if isinstance(source, Run):
         return RunSource(source, layout)
-    return open_source(source, layout) if isinstance(source, (str, Path)) else source
+    return open_source(source, layout) if isinstance(source, (str, Path, Remote)) else source
 
 
 class RunSource:

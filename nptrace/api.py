@@ -13,9 +13,12 @@ from nptrace.progress import Progress
 from nptrace.results import Results
 from nptrace.studies import Where
 from nptrace_base.errors import NptraceError
+from nptrace_base.places import Place, Remote, place
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from rtrace.scenes.scene import Scene
 
 #: Runs, and places of runs, folders of runs or traces.
@@ -37,9 +40,11 @@ class RenderOptions(TypedDict, total=False):
     kd: str
     bvh: str
     rays: Path | str | None
-    out: Path | str
+    out: Place | str
     name: str | Sequence[str]
     overwrite: bool
+    workers: "int | Executor"
+    scheduler: str | None
     threads: int | None
     strict: bool
     offline: bool
@@ -63,8 +68,9 @@ def render(
     *scenes: "str | Path | Scene", accel: Given = (), pixels: str = "128x128", camera: str | Sequence[str] | None = None,
     light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, packet: int = 1, shadow: str = "lit",
     shadow_order: str = "sign", shadow_end: str = "stop", kd: str = "", bvh: str = "sweep", bvh_nodes: Given = 32,
-    rays: Path | str | None = None, out: Path | str = "traces", name: str | Sequence[str] = (), overwrite: bool = False,
-    threads: int | None = None, strict: bool = False, offline: bool = False,
+    rays: Path | str | None = None, out: Place | str = "traces", name: str | Sequence[str] = (), overwrite: bool = False,
+    workers: "int | Executor" = 0, scheduler: str | None = None, threads: int | None = None, strict: bool = False,
+    offline: bool = False,
 ) -> Run | list[Run]:  # fmt: skip
     """Trace pictures of scenes, as ``nptrace render`` does, and return the runs, which are on disk.
 
@@ -84,7 +90,11 @@ def render(
     rays : Path, optional
         Parquet file of rays to trace instead of a picture's (``rtrace.ray_file``).
     out : Path
-        Folder for the runs.
+        Folder for the runs, or an address such as s3://bucket/folder.
+    workers : int or Executor
+        Trace parts of the picture in so many processes, or on the workers of an executor of ``concurrent.futures``.
+    scheduler : str, optional
+        Trace them on the workers of a Dask cluster.
 
     Returns
     -------
@@ -98,6 +108,7 @@ def render(
     """
     from nptrace.scene_options import check_run_names, load_scenes, own_rays, parse_tree, tree_params
     from nptrace.studies import rendered
+    from nptrace_base.engines import engine_of
     from rtrace.camera import ORDERS, parse_size
     from rtrace.ray_file import RayFile
     from rtrace.render import Shooting
@@ -116,20 +127,22 @@ def render(
         shooting = own_rays(Path(rays), picture, [*cameras, *([light] if light else [])])
     params = tree_params(trees, kd, bvh, sizes)
     seen = load_scenes([str(each) if isinstance(each, Path) else each for each in scenes], strict, offline, cameras, light)
-    with Progress(len(seen) * len(params)) as bar:
-        made = rendered(seen, params, shooting, Path(out), bar, names=names, overwrite=overwrite, threads=threads)
+    with engine_of(workers, scheduler) as engine, Progress(len(seen) * len(params)) as bar:
+        made = rendered(
+            seen, params, shooting, place(out), bar, names=names, overwrite=overwrite, threads=threads, engine=engine
+        )  # fmt: skip
     runs = [open_run(str(each.identity.path)) for each in made]
     is_single = len(runs) == 1 and isinstance(accel, str) and (camera is None or isinstance(camera, str))
     return runs[0] if is_single else runs
 
 
-def open(path: Path | str) -> Run:
-    """Open a run on disk; NptraceError if it is none, or damaged."""
+def open(path: Place | str) -> Run:
+    """Open a run, on disk or at an address such as s3://bucket/run; NptraceError if it is none, or damaged."""
     return open_run(path)
 
 
 def replay(
-    sources: Sources = (), /, *, traces: Path | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
+    sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", reads: str = "own",
     flush: str = "never", three_c: bool = False, by: str | None = None, threads: int | None = None,
 ) -> Results:  # fmt: skip
@@ -185,7 +198,7 @@ def replay(
 
 
 def sweep(
-    sources: Sources = (), /, *, traces: Path | str = "traces", size: Given = "4K..64K", ways: Given = "1",
+    sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "4K..64K", ways: Given = "1",
     line: Given = "32", prefetch: Given = "traced", layout: Given = "stored", threads: int | None = None,
 ) -> Results:  # fmt: skip
     """Count the misses of every LRU cache in ranges, in one pass over each trace, as ``npcache sweep`` does.
@@ -204,7 +217,7 @@ def sweep(
 
 
 def time(
-    sources: Sources = (), /, *, traces: Path | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
+    sources: Sources = (), /, *, traces: Place | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "stack", layout: Given = "stored",
     by: str | None = None, threads: int | None = None, **numbers: Unpack[MachineOptions],
 ) -> Results:  # fmt: skip
@@ -238,7 +251,7 @@ def time(
 
 
 def compare(
-    sources: Sources = (), /, *, traces: Path | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
+    sources: Sources = (), /, *, traces: Place | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "all", layout: str = "stored",
     baselines: bool = True, threads: int | None = None, **numbers: Unpack[MachineOptions],
 ) -> Results:  # fmt: skip
@@ -309,7 +322,7 @@ def estimate(
 
 
 def table1(
-    sources: Sources = (), /, *, traces: Path | str = "traces", policy: str = "lru", layout: str = "stored", n: str = "paper",
+    sources: Sources = (), /, *, traces: Place | str = "traces", policy: str = "lru", layout: str = "stored", n: str = "paper",
     hit: int = 1, miss: int = 100, threads: int | None = None,
 ) -> Results:  # fmt: skip
     """Return Table I of the paper beside ours from existing runs, as ``npcache table1`` does.
@@ -335,14 +348,14 @@ def table1(
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
 
 
-def _chosen(sources: Any, folder: Path | str) -> list[Where]:
+def _chosen(sources: Any, folder: Place | str) -> list[Where]:
     """Return what to read: runs as they are, and the runs and traces at the places named, or those in the folder."""
     from nptrace.sources import chosen_sources
 
-    given = [sources] if isinstance(sources, (str, Path, Run)) else list(sources)
+    given = [sources] if isinstance(sources, (str, Path, Remote, Run)) else list(sources)
     if not given:
-        return [*chosen_sources([], Path(folder))]
+        return [*chosen_sources([], place(folder))]
     chosen: list[Where] = []
     for each in given:
-        chosen += [each] if isinstance(each, Run) else chosen_sources([Path(each)], Path(folder))
+        chosen += [each] if isinstance(each, Run) else chosen_sources([place(each)], place(folder))
     return chosen

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nptrace.progress import Progress, detail, say
+from nptrace_base.places import Place
 from traces.reader import Run
 
 if TYPE_CHECKING:
@@ -23,22 +24,27 @@ if TYPE_CHECKING:
     from cachesim.result import Result
     from cachesim.source import Source
     from cachesim.sweep import SweepRow
+    from nptrace_base.engines import Engine
     from rtrace.ray_file import RayFile
     from rtrace.render import Shooting, Summary
     from rtrace.scenes.scene import Scene
 
 #: What is replayed: a run, or the place of a run or a trace.
-Where = Run | Path | str
+Where = Run | Place | str
 
 
 def rendered(
-    scenes: "Sequence[Scene]", params: Mapping[str, Mapping[str, Any]], shooting: "Shooting | RayFile", out: Path,
+    scenes: "Sequence[Scene]", params: Mapping[str, Mapping[str, Any]], shooting: "Shooting | RayFile", out: Place,
     bar: Progress, *, names: Sequence[str] = (), overwrite: bool = False, threads: int | None = None,
+    engine: "Engine | None" = None,
 ) -> "list[Summary]":  # fmt: skip
-    """Trace every scene with every tree and write the runs."""
+    """Trace every scene with every tree and write the runs: by the engine's workers, or in this process."""
+    from functools import partial
+
     from nptrace import __version__
+    from rtrace.part_render import render_parts
     from rtrace.ray_file import RayFile
-    from rtrace.render import render_all
+    from rtrace.render import render, render_all
     from rtrace.scenes import float32_check
     from rtrace.trees.strays import margin_note
 
@@ -58,6 +64,7 @@ def rendered(
     return list(render_all(
         scenes, params, shooting, out, names=names, overwrite=overwrite, threads=threads or os.cpu_count() or 1,
         tool_version=__version__, on_phase=on_phase,
+        render_one=render if engine is None and isinstance(out, Path) else partial(render_parts, engine=engine),
     ))  # fmt: skip
 
 
@@ -103,12 +110,13 @@ def replayed_by(
     """Replay as ``replayed`` does, and keep the counts by pixel, level, node or type of ray."""
     from cachesim.by_group import replay_by, run_source
     from cachesim.prefetch import parse_prefetch
+    from cachesim.source import as_source
 
     policies = [parse_prefetch(text) for text in prefetches]
     results: list[GroupedResult] = []
     for where in sources:
         for layout in parsed(layouts):
-            source = run_source(where, layout, by)
+            source = run_source(as_source(where, layout), layout, by)
             for policy in policies:
                 bar.job(source.identity.run)
                 advance = bar.phase(f"replay, prefetch {policy}", source.n_events)

@@ -21,6 +21,7 @@ from nptrace.plans import OptionError, listed
 from nptrace.progress import Progress
 from nptrace.scene_options import load_scenes, parse_tree, tree_params
 from nptrace_base.errors import NptraceError
+from nptrace_base.places import place
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:
@@ -92,7 +93,11 @@ def read_study(path: Path) -> Study:
         name: _checked(where, name, tables[name], {**_defaults(name), **(dict.fromkeys(_numbers()) if name == "time" else {})})
         for name in SECTIONS if name in tables
     }  # fmt: skip
-    study = Study(path, Path(plain.get("out", TOP["out"])), render, sections)
+    with where.of("", "out"):
+        out = place(plain.get("out", TOP["out"]))
+    if not isinstance(out, Path):
+        raise where.error("", "out", f"out is {out}, and a study keeps rows beside its runs; name a folder of this machine")
+    study = Study(path, out, render, sections)
     _try(where, study)
     return study
 

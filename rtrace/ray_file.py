@@ -7,7 +7,7 @@ need not have unit length, and t counts in it.
 
 import hashlib
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass
 from itertools import islice
@@ -130,9 +130,9 @@ def _numbers(table: Any, name: str, path: Path) -> np.ndarray:
         return column.to_numpy().astype(np.float64)
 
 
-def ray_chunks(tree: Tree, file: RayFile, threads: int) -> Iterator[Chunk]:
-    """Yield the traced rays in the order of the file, chunk by chunk."""
-    following = iter(range(0, file.n_rays, CHUNK))
+def ray_chunks(tree: Tree, file: RayFile, threads: int, stretch: Iterable[int] | None = None) -> Iterator[Chunk]:
+    """Yield the traced rays in the order of the file, chunk by chunk; ``stretch`` are the first rays of some chunks."""
+    following = iter(range(0, file.n_rays, CHUNK) if stretch is None else stretch)
     with thread_pool(threads) as pool:
         waiting: deque[Future[Chunk]] = deque(pool.submit(_traced, tree, file, low) for low in islice(following, 2 * threads))
         while waiting:

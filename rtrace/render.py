@@ -6,10 +6,10 @@ The run's bytes do not depend on the number of threads: chunks have a fixed size
 import io
 import shlex
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict
-from functools import partial
+from functools import lru_cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nptrace_base.errors import NptraceError
+from nptrace_base.places import Place
 from nptrace_base.pools import thread_pool
-from rtrace.camera import format_camera
+from rtrace.camera import Camera, Point, format_camera
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
+from rtrace.counts import Counts
 from rtrace.packets import packet_starts, shot_pixels
 from rtrace.ray_file import RayFile, ray_chunks
 from rtrace.run_names import run_name
@@ -41,7 +43,7 @@ AHEAD = 1  # chunks traced but not yet written, per thread
 #: Called with a run, its phase, and an amount to do or None; returns what is called with the amount done.
 Phase = Callable[[str, str, int | None], Callable[[int], object]]
 
-_Piece = tuple[int, int, int | None]  # first pixel or packet, the one after the last, which pass
+Piece = tuple[int, int, int | None]  # first packet, the one after the last, which pass
 
 
 class Summary(NamedTuple):
@@ -80,10 +82,20 @@ class Summary(NamedTuple):
         return self.n_accesses / self.n_rays
 
 
-def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterator[Chunk]:
+class View(NamedTuple):
+    """What tracing takes of a scene beside its triangles, which a tree has."""
+
+    camera: Camera
+    light: Point
+
+
+def chunks(
+    tree: Tree, scene: Scene | View, shooting: Shooting, threads: int, stretch: Iterable[Piece] | None = None
+) -> Iterator[Chunk]:
     """Yield the traced chunks in shooting order, at most ``AHEAD`` x threads of them in memory.
 
-    A chunk has as many pixels as ``chunk.MOST_EVENTS`` allows, at most about ``CHUNK``.
+    A chunk has as many pixels as ``chunk.MOST_EVENTS`` allows, at most about ``CHUNK``. ``stretch`` are some of the picture's
+    ``pieces``, one after the other; by default all.
 
     Raises
     ------
@@ -93,21 +105,18 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
     if threads < 1:
         raise NptraceError(f"threads must be at least 1, got {threads}")
     frame = scene.camera.frame(shooting.width, shooting.height)
-    pixels = shot_pixels(shooting)
-    starts = packet_starts(pixels, shooting)
-    n = len(starts) - 1
-    batch = shooting.n_together or n
-    following = _pieces(n, batch, CHUNK // shooting.packet)
+    pixels, starts = shot(shooting)
+    batch = shooting.n_together or len(starts) - 1
+    following = iter(pieces(shooting) if stretch is None else stretch)
     if shooting.shadow_order == "cheaper":
         tree = tree._replace(cheaper=cheaper_children(tree))
-    waiting: deque[tuple[_Piece, Future[Chunk]]] = deque()
+    waiting: deque[tuple[Piece, Future[Chunk]]] = deque()
     with thread_pool(threads) as pool:
 
-        def submitted(piece: _Piece) -> tuple[_Piece, Future[Chunk]]:
+        def submitted(piece: Piece) -> tuple[Piece, Future[Chunk]]:
             start, stop, which = piece
             chosen = pixels[starts[start] : starts[stop]]
-            given = tree, frame, scene.light, chosen, shooting, batch, which, MOST_EVENTS
-            return piece, pool.submit(shoot, *given)
+            return piece, pool.submit(shoot, tree, frame, scene.light, chosen, shooting, batch, which, MOST_EVENTS)
 
         waiting.extend(map(submitted, islice(following, AHEAD * threads)))
         try:
@@ -125,11 +134,23 @@ def chunks(tree: Tree, scene: Scene, shooting: Shooting, threads: int) -> Iterat
                 future.cancel()
 
 
-def _pieces(n: int, batch: int, most: int) -> Iterator[_Piece]:
-    """Yield the (start, stop, pass) of chunks of up to ``most`` of n pixels, or packets of them.
+@lru_cache(1)
+def shot(shooting: Shooting) -> tuple[np.ndarray, Sequence[int] | np.ndarray]:
+    """Return the pixels of a picture in shooting order, and where each packet begins among them, as ``packets`` has them.
+
+    The last ones are kept, for a worker that traces part after part of a picture.
+    """
+    pixels = shot_pixels(shooting)
+    return pixels, packet_starts(pixels, shooting)
+
+
+def pieces(shooting: Shooting) -> Iterator[Piece]:
+    """Yield the (start, stop, pass) of the chunks of a picture, in packets; a single ray is a packet of one.
 
     Of batches beyond a chunk the primary rays come first.
     """
+    n, most = len(shot(shooting)[1]) - 1, CHUNK // shooting.packet
+    batch = shooting.n_together or n
     if batch <= most:
         step = batch * (most // batch)
         yield from ((start, min(start + step, n), None) for start in range(0, n, step))
@@ -208,34 +229,30 @@ def render(
     else:
         width, height, traced = shooting.width, shooting.height, chunks(tree, scene, shooting, threads)
     picture = np.zeros((height * width, 3), np.uint8)
-    n_rays = n_accesses = n_prefetches = n_leaves = n_shadow = n_hits = n_shadowed = 0
+    counts = Counts()
     footer = footer_of(scene, tree, shooting, tool_version)
     with RunWriter(path, footer, fields) as run:
         run.append("nodes", partial(node_tables, tree, ROW_GROUP))
         for chunk in traced:
-            chunk.rays["ray"] += np.uint32(n_rays)
-            chunk.rays["first"] += np.uint64(n_accesses)
-            chunk.accesses["ray"] += np.uint32(n_rays)
+            counts.add(chunk)
             run.append("rays", chunk.rays)
             run.append("accesses", chunk.accesses)
-            n_rays += len(chunk.rays["ray"])
-            n_accesses += len(chunk.accesses["ray"])
-            n_prefetches += chunk.n_prefetches
-            n_leaves += 0 if node_format.reads_leaves else chunk.n_leaves
-            n_hits += chunk.n_hits
-            n_shadow += chunk.n_shadow
-            n_shadowed += chunk.n_shadowed
             if chunk.is_shaded:
                 picture[chunk.pixels] = chunk.colours
                 progress(len(chunk.pixels))
         on_write()
         run.complete()
-        run.image(_png(picture.reshape(height, width, 3)))
-    n_bytes = sum(file.stat().st_size for file in path.iterdir())
+        run.image(png(picture.reshape(height, width, 3)))
+    return summary(footer, path, counts, len(tree.nodes), sum(file.stat().st_size for file in path.iterdir()))
+
+
+def summary(footer: Footer, path: Place, counts: Counts, n_nodes: int, n_bytes: int) -> Summary:
+    """Return the counts of the run at a place."""
+    n_leaves = 0 if footer.tree.node_format.reads_leaves else counts.n_leaves
     return Summary(
-        identity_of(footer, printable(path.name), printable(str(path))), len(scene.triangles),
-        len(tree.nodes), n_rays, n_hits, n_shadow, n_shadowed,
-        n_accesses - n_prefetches - n_leaves, n_prefetches, n_bytes,
+        identity_of(footer, printable(path.name), printable(str(path))), footer.scene.n_triangles, n_nodes, counts.n_rays,
+        counts.n_hits, counts.n_shadow, counts.n_shadowed, counts.n_accesses - counts.n_prefetches - n_leaves,
+        counts.n_prefetches, n_bytes,
     )  # fmt: skip
 
 
@@ -243,20 +260,21 @@ def render_all(
     scenes: Sequence[Scene],
     params: Mapping[str, Mapping[str, Any]],
     shooting: Shooting | RayFile,
-    folder: Path,
+    folder: Place,
     *,
     names: Sequence[str] = (),
     overwrite: bool = True,
     threads: int = 2,
     tool_version: str = "",
     on_phase: Phase = lambda run, phase, total: lambda done: None,
+    render_one: Callable[..., Summary] = render,
 ) -> Iterator[Summary]:
     """Render each scene with each tree of ``params`` (kind -> builder parameters) as a run in ``folder``.
 
     ``run_names`` names the runs; with ``names``, one per scene, they are ``<name>-<tree>``. The trees are built by threads
     ahead of the pictures; summaries come as the runs are written. ``on_phase`` is called at the start of each phase of a run,
     ``build``, ``trace`` and ``write``, with the run's name, and for ``trace`` with the number of pixels; what it returns is
-    called with the number done.
+    called with the number done. ``render_one`` is ``render``, or ``part_render.render_parts``.
 
     Raises
     ------
@@ -274,10 +292,9 @@ def render_all(
         for kind in params:
             shooting.check_format(kind)
     n_steps = shooting.n_rays if isinstance(shooting, RayFile) else shooting.width * shooting.height
+    build = partial(cached_tree, threads=threads)
     with thread_pool(threads) as pool:
-        jobs = [
-            (s, pool.submit(cached_tree, s, kind, threads=threads, **given)) for s in scenes for kind, given in params.items()
-        ]
+        jobs = [(s, pool.submit(build, s, kind, **given)) for s in scenes for kind, given in params.items()]
         for path, (scene, tree) in zip(paths, jobs, strict=True):
             if path.exists() and not overwrite:
                 refuse_other(path, footer_of(scene, tree.result(), shooting, tool_version))
@@ -285,13 +302,14 @@ def render_all(
             on_phase(path.name, "build", None)
             built = tree.result()
             traced = on_phase(path.name, "trace", n_steps)
-            yield render(
+            yield render_one(
                 scene, built, shooting, path, threads=threads, tool_version=tool_version, progress=traced,
                 on_write=partial(on_phase, path.name, "write", None),
             )  # fmt: skip
 
 
-def _png(pixels: np.ndarray) -> bytes:
+def png(pixels: np.ndarray) -> bytes:
+    """Return the PNG file of a picture, (height, width, 3) uint8."""
     from PIL import Image
 
     buffer = io.BytesIO()

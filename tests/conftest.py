@@ -21,6 +21,18 @@ def pytest_report_header():
     )
 
 
+@pytest.fixture
+def bucket(tmp_path, monkeypatch):
+    """An object store, s3://bucket, that is the folder ``bucket`` of ``tmp_path``."""
+    from pyarrow.fs import LocalFileSystem, SubTreeFileSystem
+
+    from nptrace_base import places
+
+    stored = SubTreeFileSystem(str(tmp_path), LocalFileSystem())
+    monkeypatch.setattr(places, "filesystem_of", lambda scheme, authority, query: (stored, authority))
+    return places.place("s3://bucket")
+
+
 @pytest.fixture(scope="session", params=sorted(BENCHMARK))
 def benchmark_scene(request):
     """One of the four scenes of Table I."""

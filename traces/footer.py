@@ -6,9 +6,9 @@ In the files it is JSON, the same in each; in the code it is a ``Footer``. READM
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
+from nptrace_base.places import Place
 from traces.format import FORMAT_VERSION, RunError
 from traces.frame import Point
 from traces.node_formats import NODE_FORMATS, NodeFormat
@@ -144,7 +144,7 @@ _CONTENT = (
 )  # fmt: skip
 
 
-def parse_footer(text: bytes, path: Path) -> Footer:
+def parse_footer(text: bytes, path: Place) -> Footer:
     """Return the footer of the run at ``path``; RunError if it is invalid, of another format version, or incomplete."""
     try:
         values = json.loads(text)
@@ -184,7 +184,7 @@ _RULES: dict[object, tuple[str, Callable[[Any], bool]]] = {
 }
 
 
-def _checked(type_: object, value: Any, entry: str, path: Path) -> Any:
+def _checked(type_: object, value: Any, entry: str, path: Place) -> Any:
     """Return an entry's value, a tuple for a list; RunError if it is not of the type."""
     if value is None:
         raise RunError(f"{path} has no {entry} in its footer; render it again")
@@ -194,7 +194,7 @@ def _checked(type_: object, value: Any, entry: str, path: Path) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _parsed(facts: Any, values: dict[str, Any], of: str, path: Path) -> Any:
+def _parsed(facts: Any, values: dict[str, Any], of: str, path: Place) -> Any:
     """Return the dataclass ``facts`` with its entries from JSON; ``of`` is the entry that holds it."""
     found = {}
     for each in fields(facts):

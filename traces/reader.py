@@ -1,18 +1,25 @@
-"""A run on disk -> its footer and columns, or one sentence that says what is wrong with it."""
+"""A run -> its footer and columns, or one sentence that says what is wrong with it.
+
+A run is a directory of four files, or of several parts and the manifest that makes them one (``manifest``), on disk or in an
+object store. Readers see one run with one numbering of rays and rows.
+"""
 
 import hashlib
 import weakref
 from base64 import b64encode
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import lru_cache, partial
 from html import escape
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nptrace_base.places import Place, Remote, opened, place, sizes
 from traces.footer import Footer, parse_footer
 from traces.format import (
     ACCESSES,
@@ -27,6 +34,7 @@ from traces.format import (
     printable,
 )
 from traces.identity import RunIdentity, identity_of
+from traces.manifest import MANIFEST, FileFacts, Manifest, check_there, parse_manifest, verified
 from traces.validation import (
     check_accesses,
     check_nodes,
@@ -45,13 +53,36 @@ _FIELDS["nodes"] |= {field.name: field for field in (*SPLIT, *BOX)}
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
 
+class Part(NamedTuple):
+    """A stretch of a run's rays, with files of its own, in which rays and rows are numbered from 0.
+
+    Attributes
+    ----------
+    open : callable
+        Returns the Parquet file of a table, ``rays`` or ``accesses``; of the first part also ``nodes``.
+    files : mapping
+        Table -> the file, for messages.
+    footer : Footer
+        With the part's numbers of rays and accesses.
+    first_ray, first_access : int
+        What is added to the numbers of its rays and rows.
+    """
+
+    open: Callable[[str], pq.ParquetFile]
+    files: Mapping[str, Place]
+    footer: Footer
+    first_ray: int = 0
+    first_access: int = 0
+
+
 class Run:
     """A complete run, opened for reading: a ``Footer``, and arrays that are read, and checked, when asked for."""
 
-    def __init__(self, path: Path, files: dict[str, pq.ParquetFile], footer: Footer) -> None:
+    def __init__(self, path: Place, parts: Sequence[Part], footer: Footer, image: Callable[[], bytes], n_bytes: int) -> None:
         self.path = path
         self.footer = footer
-        self._files = files
+        self.n_bytes = n_bytes
+        self._parts, self._image = parts, image
         self._axis: np.ndarray | None = None  # of nodes that have been checked
 
     def __repr__(self) -> str:
@@ -64,7 +95,7 @@ class Run:
         facts = {name: value for name, value in self.identity.to_dict().items() if value is not None}
         facts |= {"rays": f"{self.footer.n_rays:,}", "accesses": f"{self.n_accesses:,}", "nodes": f"{self.n_nodes:,}"}
         lines = "".join(f"<tr><th>{escape(name)}</th><td>{escape(str(value))}</td></tr>" for name, value in facts.items())
-        picture = b64encode((self.path / "image.png").read_bytes()).decode()
+        picture = b64encode(self.image()).decode()
         return f'<table>{lines}</table><img alt="the picture of {escape(self.name)}" src="data:image/png;base64,{picture}">'
 
     @property
@@ -76,6 +107,10 @@ class Run:
     def identity(self) -> RunIdentity:
         """What tells this run from others, for the rows of results."""
         return identity_of(self.footer, self.name, printable(str(self.path)))
+
+    def image(self) -> bytes:
+        """Return the picture, a PNG file."""
+        return self._image()
 
     @property
     def n_nodes(self) -> int:
@@ -98,18 +133,28 @@ class Run:
             empty = {name: np.empty(0, ACCESSES.field(name).type.to_pandas_dtype()) for name in names}
             return {name: np.concatenate([empty[name], *(batch[i] for batch in batches)]) for i, name in enumerate(names)}
         if names is None:
-            names = [name for name in self._files[table].schema_arrow.names if name in _FIELDS[table]]
-        columns = self._plain(table, {*_SCHEMAS[table].names, *names} - ({"address"} - {*names}))
+            names = [name for name in self._parts[0].open(table).schema_arrow.names if name in _FIELDS[table]]
+        wanted = {*_SCHEMAS[table].names, *names} - ({"address"} - {*names})
         if table == "rays":
-            check_rays(columns, self.path / "rays.parquet", self.footer)
+            found = [self._rays(part, wanted) for part in self._parts]
+            columns = found[0] if len(found) == 1 else {name: np.concatenate([each[name] for each in found]) for name in names}
         else:
-            check_nodes(columns, self.path / "nodes.parquet", self.footer.tree)
+            columns = self._plain(self._parts[0], table, wanted)
+            check_nodes(columns, self._parts[0].files["nodes"], self.footer.tree)
             self._axis = columns["axis"]
         return {name: columns[name] for name in names}
 
-    def _plain(self, table: str, names: Iterable[str]) -> dict[str, np.ndarray]:
+    def _rays(self, part: Part, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Return the checked columns of the rays of a part, numbered as in the run."""
+        columns = self._plain(part, "rays", {*names, *RAYS.names})
+        check_rays(columns, part.files["rays"], part.footer)
+        for name, first in (("ray", part.first_ray), ("first", part.first_access)):
+            columns[name] = _moved(columns[name], first)
+        return columns
+
+    def _plain(self, part: Part, table: str, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Return whole columns, each of whose values is one of the contract's type."""
-        file, path = self._files[table], self.path / f"{table}.parquet"
+        file, path = part.open(table), part.files[table]
         try:
             read = file.read(columns=sorted(names))
             if read.num_rows != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
@@ -128,21 +173,43 @@ class Run:
                 yield batch
 
     def _checked(self, names: tuple[str, ...]) -> Iterator[tuple[np.ndarray, ...]]:
-        path, row = self.path / "accesses.parquet", 0
-        ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
         # Not in a thread of its own beside the accesses: the two share a cache, which costs processor time.
         axis = self.columns("nodes", ["axis"])["axis"] if self._axis is None else self._axis
         allowed = kinds_allowed(axis, self.footer.tree.node_format)
-        for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path):
+        with ThreadPoolExecutor(1) as pool:
+            fetched = pool.submit(self._parts[0].open, "accesses")
+            for i, part in enumerate(self._parts):
+                file = fetched.result()
+                if i + 1 < len(self._parts):
+                    fetched = pool.submit(self._parts[i + 1].open, "accesses")  # it may come from far
+                yield from self._checked_part(part, file, names, allowed)
+
+    def _checked_part(
+        self, part: Part, file: pq.ParquetFile, names: tuple[str, ...], allowed: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, ...]]:
+        path, row = part.files["accesses"], 0
+        counts = self._rays(part, ["count"])["count"] if "ray" in names else None
+        ends = None if counts is None else np.cumsum(counts, dtype=np.uint64)
+        for read in _batches(file, sorted({*names, "node", "kind"}), path):
             columns = {name: plain(read.column(name), ACCESSES.field(name), path, row) for name in read.schema.names}
             check_accesses(columns["node"], columns["kind"], allowed, path, row)
             if ends is not None:
                 check_ray_numbers(columns["ray"], ends, path, row)
+                columns["ray"] = _moved(columns["ray"], part.first_ray)
             row += read.num_rows
             yield tuple(columns[name] for name in names)
 
 
-def _batches(file: pq.ParquetFile, names: list[str], path: Path) -> Iterator[pa.RecordBatch]:
+def _moved(numbers: np.ndarray, first: int) -> np.ndarray:
+    """Return numbers of a part as those of the run."""
+    if not first:
+        return numbers
+    moved = numbers + numbers.dtype.type(first)
+    moved.flags.writeable = False  # as Arrow's arrays: Numba would compile separate code for others
+    return moved
+
+
+def _batches(file: pq.ParquetFile, names: list[str], path: Place) -> Iterator[pa.RecordBatch]:
     """Yield the rows of a file, of one row group after the other, ``ROW_GROUP`` rows or fewer at a time."""
     n_read = 0
     try:
@@ -156,18 +223,85 @@ def _batches(file: pq.ParquetFile, names: list[str], path: Path) -> Iterator[pa.
         raise _damaged(path, e) from e
 
 
-def open_run(path: Path | str) -> Run:
+def open_run(path: Place | str) -> Run:
     """Open a run and check that it is whole: all files, one format version, one footer, the stated row counts.
+
+    Parameters
+    ----------
+    path : str, Path or Remote
+        A directory, or the address of one in an object store (``nptrace_base.places``).
 
     Raises
     ------
-    RunError
-        The directory is missing, half-written, damaged, or of another format version.
+    NptraceError
+        The directory is missing, half-written, damaged, or of another format version; the store does not answer.
     """
-    path = Path(path)
+    path = place(path)
     if not path.is_dir():
         raise RunError(f"{path} is not a run directory; make one with `nptrace render`, or list them with `ls traces`")
-    missing = [name for name in FILES if not (path / name).is_file()]
+    try:
+        text = (path / MANIFEST).read_bytes()
+    except FileNotFoundError:
+        return _open_directory(path)
+    except OSError as e:
+        raise _damaged(path / MANIFEST, e) from e
+    manifest = parse_manifest(text, path)
+    check_there(manifest, path, sizes(path))
+    return Run(
+        path, list(_parts(manifest, path)), manifest.footer, partial(_content, path, manifest.image),
+        len(text) + sum(file.bytes for file in manifest.files),
+    )  # fmt: skip
+
+
+def _parts(manifest: Manifest, path: Place) -> Iterator[Part]:
+    """Yield the parts that a manifest names; a file is read when it is opened, the nodes once."""
+    open_nodes = lru_cache(1)(partial(_open_file, path, "nodes", manifest.nodes))
+    for part, ray, access in zip(manifest.parts, manifest.first_rays, manifest.first_accesses, strict=True):
+        facts = {"rays": part.rays, "accesses": part.accesses, "nodes": manifest.nodes}
+        footer = replace(manifest.footer, n_rays=part.rays.rows, n_accesses=part.accesses.rows)
+        openers = {table: partial(_open_file, path, table, file) for table, file in facts.items()} | {"nodes": open_nodes}
+        files = {table: path / file.name for table, file in facts.items()}
+        yield Part(partial(_open_table, openers), files, footer, ray, access)
+
+
+def _open_table(openers: Mapping[str, Callable[[], pq.ParquetFile]], table: str) -> pq.ParquetFile:
+    return openers[table]()
+
+
+def _content(path: Place, file: FileFacts) -> bytes:
+    """Return what a file of a run of parts holds; RunError if that is not what was written."""
+    where = path / file.name
+    try:
+        return verified(where.read_bytes(), file, where)
+    except FileNotFoundError:
+        raise RunError(f"{where} is missing, and the run is made of it; render it again") from None
+    except OSError as e:
+        raise _damaged(where, e) from e
+
+
+def _open_file(path: Place, table: str, file: FileFacts) -> pq.ParquetFile:
+    where = path / file.name
+    try:
+        found = pq.ParquetFile(pa.BufferReader(_content(path, file)))
+        schema = found.schema_arrow
+    except _UNREADABLE as e:
+        if isinstance(e, RunError):
+            raise
+        raise _damaged(where, e) from e
+    _check_schema(where, schema, table)
+    if found.metadata.num_rows != file.rows:
+        n = found.metadata.num_rows
+        raise RunError(f"{where} has {n} rows, and the run was written with {file.rows}; render it again")
+    return found
+
+
+def _open_directory(path: Place) -> Run:
+    """Open a run of four files."""
+    if isinstance(path, Remote):
+        found = path.sizes()
+    else:
+        found = {name: (path / name).stat().st_size for name in FILES if (path / name).is_file()}
+    missing = [name for name in FILES if name not in found]
     if missing:
         raise RunError(f"{path} is not a complete run: {', '.join(missing)} missing; render it again")
     with ExitStack() as handles:
@@ -178,12 +312,13 @@ def open_run(path: Path | str) -> Run:
             raise _damaged(path / "image.png", e) from e
         if footer.image_sha256 not in (image, None):  # earlier versions have no checksum
             raise RunError(f"{path / 'image.png'} is damaged (its checksum is wrong); render it again")
-        run = Run(path, files, footer)
+        part = Part(files.__getitem__, {table: path / f"{table}.parquet" for table in files}, footer)
+        run = Run(path, [part], footer, (path / "image.png").read_bytes, sum(found[name] for name in FILES))
         weakref.finalize(run, handles.pop_all().close)
     return run
 
 
-def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], Footer]:
+def _open_files(path: Place, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], Footer]:
     """Return the Parquet files of a run and their footer; ``handles`` closes them."""
     files: dict[str, pq.ParquetFile] = {}
     schemas: dict[str, pa.Schema] = {}
@@ -191,7 +326,7 @@ def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFil
     for name in _SCHEMAS:
         file = path / f"{name}.parquet"
         try:
-            handle = handles.enter_context(file.open("rb"))  # by Python: Arrow opens only names that are UTF-8
+            handle = handles.enter_context(opened(file))
             files[name] = pq.ParquetFile(handle, page_checksum_verification=True)
             schemas[name] = files[name].schema_arrow
             texts.add((files[name].metadata.metadata or {}).get(METADATA_KEY))
@@ -212,7 +347,7 @@ def _open_files(path: Path, handles: ExitStack) -> tuple[dict[str, pq.ParquetFil
     return files, footer
 
 
-def _check_schema(file: Path, found: pa.Schema, table: str) -> None:
+def _check_schema(file: Place, found: pa.Schema, table: str) -> None:
     for name, field in _FIELDS[table].items():
         columns = found.get_all_field_indices(name)
         if not columns and name not in _SCHEMAS[table].names:
@@ -224,15 +359,25 @@ def _check_schema(file: Path, found: pa.Schema, table: str) -> None:
             raise RunError(f"{file}, column '{name}' is of type {type_}, and not {field.type}; render the run again")
 
 
-def find_runs(folder: Path | str) -> list[Path]:
+def find_runs(folder: Place | str) -> list[Place]:
     """Return the run directories directly under ``folder``, by name."""
-    folder = Path(folder)
+    folder = place(folder)
+    if isinstance(folder, Remote):
+        return [each for each in folder.folders() if holds_run(each)]
     if not folder.is_dir():
         return []
     found = (p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
-    return sorted(p for p in found if any((p / name).exists() for name in FILES))
+    return [*sorted(p for p in found if holds_run(p))]
 
 
-def _damaged(path: Path, error: Exception) -> RunError:
+def holds_run(folder: Place) -> bool:
+    """Return whether a folder is that of a run, whole or damaged, and not one that holds runs."""
+    names = (MANIFEST, *FILES)
+    if isinstance(folder, Remote):
+        return not folder.sizes().keys().isdisjoint(names)
+    return any((folder / name).exists() for name in names)
+
+
+def _damaged(path: Place, error: Exception) -> RunError:
     reason = (str(error) or type(error).__name__).splitlines()[0]
     return RunError(f"{path} is damaged ({reason}); render it again")

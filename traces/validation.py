@@ -5,13 +5,13 @@ sentence names the file, the column, the row (from 0) and the rule.
 """
 
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from nptrace_base.jit import kernel
+from nptrace_base.places import Place
 from traces.footer import Footer, TreeFacts
 from traces.format import LEAF, PREFETCH, PUSH, READ, SHADOW, RunError
 from traces.node_formats import OWN_BOX, NodeFormat, stored_addresses
@@ -33,12 +33,12 @@ _NODE_RULES = {
 }
 
 
-def bad_value(path: Path, column: str, row: int, found: object, rule: str) -> RunError:
+def bad_value(path: Place, column: str, row: int, found: object, rule: str) -> RunError:
     """Return the error about one value of a file."""
     return RunError(f"{path}, column '{column}', row {row}: {found} breaks the rule that {rule}; render the run again")
 
 
-def plain(column: pa.ChunkedArray | pa.Array, field: pa.Field, path: Path, first_row: int = 0) -> np.ndarray:
+def plain(column: pa.ChunkedArray | pa.Array, field: pa.Field, path: Place, first_row: int = 0) -> np.ndarray:
     """Return a column as an array of the contract's type; other types of numbers are taken if no value changes.
 
     Raises
@@ -83,7 +83,7 @@ def _converted(column: pa.ChunkedArray | pa.Array, wanted: pa.DataType) -> np.nd
     return values
 
 
-def check_nodes(columns: Mapping[str, np.ndarray], path: Path, tree: TreeFacts) -> None:
+def check_nodes(columns: Mapping[str, np.ndarray], path: Place, tree: TreeFacts) -> None:
     """Check the columns of ``nodes.parquet`` except split and boxes; addresses where they were read."""
     n = columns["node"].size
     if n % 2 == 0:
@@ -175,7 +175,7 @@ def fill_allowed(axis, inner, leaf, allowed):
         allowed[i] = leaf if axis[i] == LEAF_AXIS else inner
 
 
-def check_accesses(nodes: np.ndarray, kinds: np.ndarray, allowed: np.ndarray, path: Path, first_row: int) -> None:
+def check_accesses(nodes: np.ndarray, kinds: np.ndarray, allowed: np.ndarray, path: Place, first_row: int) -> None:
     """Check a batch of ``accesses.parquet`` that begins at ``first_row`` against the nodes of its tree."""
     at = int(first_bad_access(nodes, kinds, allowed))
     if at == nodes.size:
@@ -218,7 +218,7 @@ def are_all_allowed(nodes, kinds, allowed):
     return highest <= last and bits_of_kinds <= last_kind and (is_allowed & np.uint64(1)) == 1
 
 
-def check_rays(columns: Mapping[str, np.ndarray], path: Path, footer: Footer) -> None:
+def check_rays(columns: Mapping[str, np.ndarray], path: Place, footer: Footer) -> None:
     """Check the columns of ``rays.parquet``; ``footer`` has the sizes they must keep to."""
     n, first, count = columns["ray"].size, columns["first"], columns["count"].astype(np.uint64)
     ends = np.cumsum(count, dtype=np.uint64)
@@ -241,7 +241,7 @@ def check_rays(columns: Mapping[str, np.ndarray], path: Path, footer: Footer) ->
         raise bad_value(path, "count", n - 1, columns["count"][-1], rule)
 
 
-def check_ray_numbers(rays: np.ndarray, ends: np.ndarray, path: Path, first_row: int) -> None:
+def check_ray_numbers(rays: np.ndarray, ends: np.ndarray, path: Place, first_row: int) -> None:
     """Check the column ``ray`` of a batch of accesses; ``ends`` is the row after the last access of each ray, uint64."""
     wanted = np.searchsorted(ends, np.arange(first_row, first_row + rays.size, dtype=np.uint64), side="right")
     wrong = rays != wanted

@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nptrace_base.atomic import is_alive
+from nptrace_base.places import Place
 from traces.footer import Footer, parse_footer
 from traces.format import (
     ACCESSES,
@@ -33,6 +34,7 @@ from traces.format import (
     RunError,
     column_encoding,
 )
+from traces.manifest import MANIFEST, is_of_run, parse_manifest
 
 #: Pieces waiting for the thread of a file: a chunk of accesses has some MB.
 _AHEAD = 2
@@ -52,26 +54,27 @@ def empty_column(n: int, dtype: type[np.generic]) -> np.ndarray:
     return np.frombuffer(pa.allocate_buffer(n * np.dtype(dtype).itemsize), dtype)
 
 
-class _Table:
-    """One Parquet file that is filled in exact row groups, whatever the sizes of the pieces.
+class TableWriter:
+    """One Parquet file, written to ``file``, that is filled in exact row groups, whatever the sizes of the pieces.
 
     A separate thread compresses the appended rows, so that the three files of a run are written at the same time and the
     caller continues; the arrays must not change until the run is complete.
     """
 
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
+    def __init__(self, file: pa.NativeFile, schema: pa.Schema) -> None:
         self.schema = schema
         self.n_rows = 0
         self._pieces: deque[pa.Table] = deque()  # not yet written: less than a row group
         self._n_pending = 0
         self._thread = ThreadPoolExecutor(1)
         self._waiting: deque[Future[None]] = deque()
-        self._file = pa.OSFile(os.fsencode(path), "wb")  # pyarrow takes no str that is not UTF-8
+        self._file = file
         self._writer = pq.ParquetWriter(
             self._file, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
         )
 
     def append(self, columns: Rows) -> None:
+        """Append rows; a function that yields them is called by the thread."""
         self._waiting.append(self._thread.submit(self._take, columns))
         self.wait(_AHEAD)
 
@@ -129,6 +132,14 @@ class _Table:
             self._file.close()
 
 
+def node_schema(footer: Footer, node_fields: list[pa.Field]) -> pa.Schema:
+    """Return the schema of the table of nodes; ``node_fields`` as ``RunWriter`` takes them."""
+    nodes = pa.schema([*NODES, *node_fields])
+    if not footer.tree.node_format.reads_leaves:
+        nodes = nodes.set(nodes.get_field_index("address"), INNER_ADDRESS)
+    return nodes
+
+
 class RunWriter:
     """Write one run, as a context manager: the run appears complete at the end, or not at all.
 
@@ -150,7 +161,7 @@ class RunWriter:
 
     def __enter__(self) -> "RunWriter":
         try:
-            if self._real.exists() and not _looks_like_run(self._real):
+            if self._real.exists() and not looks_like_run(self._real):
                 raise RunError(f"{self.path} exists and is not a run; choose another --out or remove it")
             if self._real.exists() and not os.access(self._real, os.W_OK):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
@@ -165,13 +176,11 @@ class RunWriter:
             raise RunError(f"cannot write {self.path}: {self.path.parent} is not a folder; choose another --out") from e
         except OSError as e:
             raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
-        self._tables: dict[str, _Table] = {}
-        for name, schema in (("accesses", ACCESSES), ("rays", RAYS)):
-            self._tables[name] = _Table(self._temp / f"{name}.parquet", schema)
-        nodes = pa.schema([*NODES, *self._node_fields])
-        if not self._footer.tree.node_format.reads_leaves:
-            nodes = nodes.set(nodes.get_field_index("address"), INNER_ADDRESS)
-        self._tables["nodes"] = _Table(self._temp / "nodes.parquet", nodes)
+        schemas = {"accesses": ACCESSES, "rays": RAYS, "nodes": node_schema(self._footer, self._node_fields)}
+        self._tables: dict[str, TableWriter] = {}
+        for name, schema in schemas.items():
+            path = self._temp / f"{name}.parquet"
+            self._tables[name] = TableWriter(pa.OSFile(os.fsencode(path), "wb"), schema)  # it takes no str that is not UTF-8
         return self
 
     def append(self, table: str, columns: Rows) -> None:
@@ -233,19 +242,23 @@ class RunWriter:
         shutil.rmtree(self._temp, ignore_errors=True)
 
 
-def refuse_other(path: Path, footer: Footer) -> None:
+def refuse_other(path: Place, footer: Footer) -> None:
     """Raise RunError if a run of other content is at ``path``: of another mesh, picture or tree than ``footer`` tells of.
 
     A run whose footers cannot be read is no loss; one whose footers lack something may be of another version of the program.
     """
-    text: bytes | None = None
+    text, manifest = None, _manifest_text(path)
     for name in ("accesses", "rays", "nodes"):
-        with suppress(OSError, pa.ArrowException), pa.OSFile(os.fsencode(path / f"{name}.parquet")) as file:
-            text = (pq.read_metadata(file).metadata or {}).get(METADATA_KEY)
-    if text is None:
-        return
+        if manifest is None and isinstance(path, Path):
+            with suppress(OSError, pa.ArrowException), pa.OSFile(os.fsencode(path / f"{name}.parquet")) as file:
+                text = (pq.read_metadata(file).metadata or {}).get(METADATA_KEY)
     try:
-        unlike = parse_footer(text, path).differences(footer)
+        if manifest is not None:
+            unlike = parse_manifest(manifest, path).footer.differences(footer)
+        elif text is not None:
+            unlike = parse_footer(text, path).differences(footer)
+        else:
+            return
     except RunError as e:
         raise RunError(f"{e}, with --overwrite") from e
     if unlike:
@@ -262,11 +275,19 @@ def _exchange(a: Path, b: Path) -> bool:
     return renameat2 is not None and renameat2(at_cwd, os.fsencode(a), at_cwd, os.fsencode(b), exchange) == 0
 
 
-def _looks_like_run(path: Path) -> bool:
+def _manifest_text(path: Place) -> bytes | None:
+    try:
+        return (path / MANIFEST).read_bytes()
+    except OSError:
+        return None
+
+
+def looks_like_run(path: Place) -> bool:
+    """Return whether a folder holds a run, finished or not, or nothing, and so may be replaced."""
     if not path.is_dir():
         return False
     names = {p.name for p in path.iterdir()}
-    return names <= set(FILES) and (not names or "accesses.parquet" in names)
+    return all(map(is_of_run, names)) and (not names or not names <= {*FILES} - {"accesses.parquet"})
 
 
 def _sweep(path: Path) -> None:

@@ -10,13 +10,14 @@ from nptrace.groups import Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, chosen_sources, policies, traces_option
+from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, policies, traces_option
+from nptrace_base.places import Place
 
 
 @click.command(
     cls=Command, lists={"Prefetch policies": policies, "Machines and where their numbers come from": machine_sources}
 )
-@click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @machine_options
 @list_option(
@@ -30,7 +31,7 @@ from nptrace.sources import LAYOUT_HELP, chosen_sources, policies, traces_option
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()
 def compare(
-    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: str, baselines: bool,
+    sources: tuple[Place, ...], folder: Place, machines: Machines, prefetch: list[str], layout: str, baselines: bool,
     threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Compare all prefetch policies on one cache and machine, in cycles, with their bound and with what needs no unit.

@@ -9,10 +9,12 @@ import click
 from nptrace.groups import BadInput, Command
 from nptrace.output import output_option
 from nptrace.progress import Progress, done, say
+from nptrace.sources import PlaceOf
+from nptrace_base.places import Place
 
 
 @click.command(cls=Command, old={"--to": "--format", "--prefetch": "--prefetch-as"})
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PlaceOf())
 @click.option(
     "--format", "form", type=click.Choice(["din", "csv", "parquet"]), default="din", show_default=True,
     help="DineroIV's traces, or columns address, type and size.",
@@ -27,7 +29,7 @@ from nptrace.progress import Progress, done, say
     help="Access type of the prefetch requests: b, read (0) or misc (3); omit leaves them out.",
 )
 @output_option("-o", "--output", help="Output file, - for stdout; by default RUN.din, .csv or .parquet.")
-def export(run: Path, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
+def export(run: Place, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
     """Write a run as a trace of addresses: for DineroIV, or in CSV or Parquet for any other program.
 
     \b

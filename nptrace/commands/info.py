@@ -1,22 +1,22 @@
 """nptrace info: what runs are, without reading their rows."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from nptrace.output import Output, results_options
-from nptrace.sources import chosen_sources, traces_option
+from nptrace.sources import PlaceOf, chosen_sources, traces_option
+from nptrace_base.places import Place
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
 
 
 @click.command()
-@click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @results_options()
-def info(sources: tuple[Path, ...], folder: Path, output: Output) -> None:
+def info(sources: tuple[Place, ...], folder: Place, output: Output) -> None:
     """Print what runs hold, and the commands that make them again.
 
     \b
@@ -32,7 +32,7 @@ def info(sources: tuple[Path, ...], folder: Path, output: Output) -> None:
         records.append({
             **run.identity.to_dict(), "n_triangles": footer.scene.n_triangles, "n_nodes": footer.n_nodes,
             "node_bytes": footer.tree.node_bytes, "n_rays": footer.n_rays, "n_events": footer.n_accesses,
-            "n_bytes": sum(file.stat().st_size for file in path.iterdir()), "tool_version": footer.tool_version,
+            "n_bytes": run.n_bytes, "tool_version": footer.tool_version,
             "source": footer.scene.source, "sha256": footer.scene.sha256, "command": footer.command,
         })  # fmt: skip
     output.write(records, lambda: ([table_of(record) for record in records], []))

@@ -12,6 +12,7 @@ from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
 from nptrace.sources import again
+from nptrace_base.places import place
 
 
 @click.command("map", cls=Command)
@@ -49,6 +50,8 @@ def map_(
     from rtrace.camera import parse_size
     from rtrace.render import Shooting
 
+    if not isinstance(place(out), Path):
+        raise BadInput(f"--out {place(out)}: a map keeps rows beside its runs; name a folder of this machine")
     grid, began = QUICK if quick else Grid(), time.perf_counter()
     if picture is not None:
         check_plot(picture)

@@ -12,8 +12,9 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import ListOf, joined, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, chosen_sources
+from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources
 from nptrace_base.errors import NptraceError
+from nptrace_base.places import Place, Remote
 
 #: What can be drawn, and of what.
 KINDS = {
@@ -43,7 +44,7 @@ def _sizes(text: str) -> list[int]:
 
 
 @click.command(cls=Command)
-@click.argument("sources", metavar="RESULTS|RUN...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="RESULTS|RUN...", nargs=-1, type=PlaceOf())
 @click.option(
     "--kind", type=click.Choice(list(KINDS)),
     help=f"What to draw: {'; '.join(f'{name}: {text}' for name, text in KINDS.items())}. Else what the results say.",
@@ -56,7 +57,7 @@ def _sizes(text: str) -> list[int]:
 @threads_option()
 @output_option("-o", "--output", "path", help="The picture: .png, .svg or .pdf; - is stdout.")
 def plot(
-    sources: tuple[Path, ...], kind: str | None, size: list[int], assoc: list[str], line: list[int], prefetch: list[str],
+    sources: tuple[Place, ...], kind: str | None, size: list[int], assoc: list[str], line: list[int], prefetch: list[str],
     layout: list[str], threads: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Draw results that npcache replay, sweep, time, compare and table1 wrote with -o, or runs.
@@ -77,7 +78,7 @@ def plot(
     if path is None:
         raise BadInput("name the picture with -o, for instance -o plot.png")
     check_plot(path)
-    of_runs = [source for source in sources if source.is_dir() or source.suffix == ".din"]
+    of_runs = [source for source in sources if isinstance(source, Remote) or source.is_dir() or source.suffix == ".din"]
     given = [name for name, value in (("--size", size), ("--assoc", assoc), ("--line", line), ("--prefetch", prefetch),
                                       ("--layout", layout)) if value]  # fmt: skip
     if of_runs and len(of_runs) < len(sources):
@@ -86,7 +87,7 @@ def plot(
     if not of_runs:
         if given:
             raise BadInput(f"{given[0]} is for runs, and results have their caches; leave it out, or name a run")
-        kind, n = _draw_results(sources, kind, path)
+        kind, n = _draw_results([Path(str(source)) for source in sources], kind, path)
     else:
         kind = kind or "distances"
         if kind not in OF_RUNS:
@@ -169,7 +170,7 @@ def _drawings() -> dict[str, Callable[[Sequence[Any], Path], None]]:
     }  # fmt: skip
 
 
-def _draw_runs(paths: Sequence[Path], kind: str, cases: Cases, path: Path, threads: int) -> int:
+def _draw_runs(paths: Sequence[Place], kind: str, cases: Cases, path: Path, threads: int) -> int:
     """Count what a kind of picture shows of runs, and draw it; return the number of rows."""
     from cachesim.source import open_source
 

@@ -21,7 +21,8 @@ from nptrace.scene_options import (
     scene_options,
     tree_options,
 )
-from nptrace.sources import again
+from nptrace.sources import PlaceOf, again
+from nptrace_base.places import Place
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
@@ -38,12 +39,22 @@ if TYPE_CHECKING:
     "--rays", "ray_file", type=click.Path(path_type=Path), metavar="FILE.parquet",
     help="Trace these rays instead of a picture's: columns origin, direction and, if you like, t_min, t_max, any_hit.",
 )  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default="traces", show_default=True, help="Folder for the runs.")
+@click.option(
+    "--out", type=PlaceOf(), default="traces", show_default=True,
+    help="Folder for the runs, also in an object store: s3://, gs:// or abfs:// (docs/storage.md).",
+)  # fmt: skip
 @click.option(
     "--name", "run_names", multiple=True, metavar="NAME",
     help="Name of the run, before -kdtree, -bvh or -bvh64, instead of the usual one; once per SCENE and --camera.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a run of other content that has the same name.")
+@click.option(
+    "--workers", type=click.IntRange(0), default=0, metavar="N",
+    help="Trace parts of the picture in N processes; the run has several parts, and its rows are the same.",
+)  # fmt: skip
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Trace parts of the picture on the workers of a Dask cluster, which see --out too."
+)
 @threads_option()
 @scene_options
 @results_options()
@@ -51,8 +62,8 @@ if TYPE_CHECKING:
 @gathered("trees", Trees)
 @gathered("picture", Picture)
 def render(
-    scenes: Scenes, trees: Trees, picture: Picture, ray_file: Path | None, out: Path, run_names: tuple[str, ...],
-    overwrite: bool, threads: int, output: Output,
+    scenes: Scenes, trees: Trees, picture: Picture, ray_file: Path | None, out: Place, run_names: tuple[str, ...],
+    overwrite: bool, workers: int, scheduler: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
 
@@ -67,6 +78,7 @@ def render(
     nptrace render sponza --pixels 512x512 --order tile --packet 64
     """
     from nptrace.studies import rendered
+    from nptrace_base.engines import engine_of
 
     began = time.perf_counter()
     check_run_names(run_names, len(scenes.names) * max(len(scenes.cameras), 1))
@@ -74,8 +86,10 @@ def render(
     if ray_file is not None:
         shooting = own_rays(ray_file, picture.shooting(), scenes.views)
     params, seen = trees.params(), scenes.load()
-    with Progress(len(seen) * len(params)) as bar:
-        runs = rendered(seen, params, shooting, out, bar, names=run_names, overwrite=overwrite, threads=threads)
+    with engine_of(workers, scheduler) as engine, Progress(len(seen) * len(params)) as bar:
+        runs = rendered(
+            seen, params, shooting, out, bar, names=run_names, overwrite=overwrite, threads=threads, engine=engine
+        )  # fmt: skip
     output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
     n_rays, n_bytes = sum(run.n_rays for run in runs), sum(run.n_bytes for run in runs)
     what = f"{len(runs)} run{'s' * (len(runs) != 1)}, {n_rays:,} rays, {size_text(n_bytes)}"

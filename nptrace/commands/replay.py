@@ -1,7 +1,6 @@
 """npcache replay: runs and traces through caches, exactly."""
 
 import time
-from pathlib import Path
 
 import click
 
@@ -10,14 +9,15 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import Caches, gathered, list_option, policy_option, size_option, threads_option, ways_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, again, chosen_sources, traces_option, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, again, chosen_sources, traces_option, untimed_policies
+from nptrace_base.places import Place
 
 #: By what the counts can be written: ``cachesim.by_group.BY``, which takes long to import.
 BY = ("pixel", "level", "node", "ray-type")
 
 
 @click.command(cls=Command, old={"--report": "--format"}, lists={"Prefetch policies": untimed_policies})
-@click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @size_option()
 @ways_option()
@@ -45,7 +45,7 @@ BY = ("pixel", "level", "node", "ray-type")
 @results_options("dinero")
 @gathered("caches", Caches)
 def replay(
-    sources: tuple[Path, ...], folder: Path, caches: Caches, prefetch: list[str], layout: list[str], reads: str, flush: str,
+    sources: tuple[Place, ...], folder: Place, caches: Caches, prefetch: list[str], layout: list[str], reads: str, flush: str,
     three_c: bool, by: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of the cache options, exactly.

@@ -15,8 +15,9 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import threads_option
 from nptrace.output import output_option, write_out
 from nptrace.progress import Progress, done, say, size_text
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, chosen_sources, traces_option, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, traces_option, untimed_policies
 from nptrace_base.errors import NptraceError
+from nptrace_base.places import Place
 
 if TYPE_CHECKING:
     from cachesim.clock.parameters import Clock
@@ -32,7 +33,7 @@ SIZES, WAYS, HEAT = "4K..64K", "1,2,4,8", ("accesses", "misses")
 @click.command(
     cls=Command, lists={"Prefetch policies": untimed_policies, "Machines and where their numbers come from": machine_sources}
 )
-@click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @machine_options
 @click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=PREFETCH_HELP)
@@ -40,7 +41,7 @@ SIZES, WAYS, HEAT = "4K..64K", "1,2,4,8", ("accesses", "misses")
 @threads_option()
 @output_option("-o", "--output", "path", help="The page: .html; - is stdout.")
 def report(
-    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: str, layout: str, threads: int, path: Path | None,
+    sources: tuple[Place, ...], folder: Place, machines: Machines, prefetch: str, layout: str, threads: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Write one page about runs, for any browser and without a network: pictures, heat maps, tables, curves, what was run.
 

@@ -9,11 +9,12 @@ from cachesim.config import parse_bytes
 from nptrace.options import list_option, threads_option, ways_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import again, chosen_sources, traces_option
+from nptrace.sources import PlaceOf, again, chosen_sources, traces_option
+from nptrace_base.places import Place
 
 
 @click.command()
-@click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @list_option("--size", item=str, metavar="SIZES", default="4K..64K", help="Cache sizes and ranges, e.g. 4K..64K,96K.")
 @ways_option()
@@ -24,7 +25,7 @@ from nptrace.sources import again, chosen_sources, traces_option
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options(default="csv")
 def sweep(
-    sources: tuple[Path, ...], folder: Path, size: list[str], ways: list[tuple[str, ...]], line: list[int],
+    sources: tuple[Place, ...], folder: Place, size: list[str], ways: list[tuple[str, ...]], line: list[int],
     prefetch: list[str], layout: list[str], threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Count the misses of every LRU cache in ranges of size, associativity and line, exactly, in one pass over each trace.

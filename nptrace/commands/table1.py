@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -13,7 +12,8 @@ from nptrace.options import gathered, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
-from nptrace.sources import LAYOUT_HELP, again, chosen_sources, traces_option
+from nptrace.sources import LAYOUT_HELP, PlaceOf, again, chosen_sources, traces_option
+from nptrace_base.places import Place
 
 if TYPE_CHECKING:
     from cachesim.report.table1 import Equation
@@ -35,7 +35,7 @@ class Acpr:
 
 
 @click.command()
-@click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @click.option(
     "--target-error", "error", metavar="ERROR",
@@ -60,7 +60,7 @@ class Acpr:
 @results_options()
 @gathered("equation", Acpr)
 def table1(
-    sources: tuple[Path, ...], folder: Path, error: str | None, pixels: str, seed: int, policy: str, layout: str,
+    sources: tuple[Place, ...], folder: Place, error: str | None, pixels: str, seed: int, policy: str, layout: str,
     equation: Acpr, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Print Table I of the paper beside ours, from existing runs or estimated for large pictures.

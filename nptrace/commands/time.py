@@ -10,7 +10,8 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, again, chosen_sources, policies, traces_option
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, again, chosen_sources, policies, traces_option
+from nptrace_base.places import Place
 
 #: The tallies of the clock that can be printed.
 BY = ("level", "ray", "slot", "leaf")
@@ -19,7 +20,7 @@ BY = ("level", "ray", "slot", "leaf")
 @click.command(
     "time", cls=Command, lists={"Prefetch policies": policies, "Machines and where their numbers come from": machine_sources}
 )
-@click.argument("sources", metavar="[RUN]...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @machine_options
 @list_option("--prefetch", item=str, metavar="POLICIES", default="stack", help=PREFETCH_HELP)
@@ -35,7 +36,7 @@ BY = ("level", "ray", "slot", "leaf")
 @threads_option()
 @results_options()
 def time_(
-    sources: tuple[Path, ...], folder: Path, machines: Machines, prefetch: list[str], layout: list[str],
+    sources: tuple[Place, ...], folder: Place, machines: Machines, prefetch: list[str], layout: list[str],
     timeline: Path | None, by: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Count the cycles of runs, with and without prefetching, and say where they went.

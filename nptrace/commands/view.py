@@ -12,8 +12,9 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import ListOf, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, policies
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, policies
 from nptrace_base.errors import NptraceError
+from nptrace_base.places import Place
 
 if TYPE_CHECKING:
     from cachesim.heat import HeatMaps, Setting
@@ -37,7 +38,7 @@ def parse_kind(text: str) -> str:
 @click.command(
     cls=Command, lists={"Prefetch policies": policies, "Machines and where their numbers come from": machine_sources}
 )
-@click.argument("sources", metavar="RUN...", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("sources", metavar="RUN...", nargs=-1, type=PlaceOf())
 @click.option(
     "--heat", "kinds", type=ListOf("KINDS", parse_kind), metavar="KINDS", multiple=True, callback=merged,
     help=f"Show numbers per pixel as colours: {', '.join(KINDS)}. misses to pollution are of a cache, cycles of a machine.",
@@ -50,7 +51,7 @@ def parse_kind(text: str) -> str:
 @threads_option()
 @output_option("-o", "--output", "path", help="The picture: .png; heat maps also .svg and .pdf; - is stdout.")
 def view(
-    sources: tuple[Path, ...], kinds: list[str], difference: bool, enlarge: int | None, machines: Machines, prefetch: str,
+    sources: tuple[Place, ...], kinds: list[str], difference: bool, enlarge: int | None, machines: Machines, prefetch: str,
     layout: str, threads: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Show the pictures of runs, enlarged, or what their pixels cost, as heat maps.
@@ -94,7 +95,7 @@ def view(
 
 def _usual_path(runs: "Sequence[Run]", kinds: Sequence[str]) -> Path:
     """Return the picture's name where -o gives none; a file of that name is kept."""
-    path = Path("-".join([runs[0].path.name if len(runs) == 1 else "runs", *kinds]) + ".png")
+    path = Path("-".join([runs[0].name if len(runs) == 1 else "runs", *kinds]) + ".png")
     if path.exists():
         raise BadInput(f"{path} exists; write -o {path} to replace it, or name another file")
     return path
@@ -187,11 +188,13 @@ def _column(kind: str, titles: list[str], values: list, setting: "Setting", *, i
 
 def picture_of(run: "Run") -> Any:
     """Return the picture of a run, (height, width, 3) uint8."""
+    import io
+
     import numpy as np
     from PIL import Image
 
     try:
-        with Image.open(run.path / "image.png") as picture:
+        with Image.open(io.BytesIO(run.image())) as picture:
             return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError) as e:  # Pillow's errors of what is no PNG
         raise BadInput(f"{run.path / 'image.png'} is no picture ({e}); render the run again") from e

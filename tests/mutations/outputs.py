@@ -6,6 +6,7 @@
 from tests.mutations.mutation import Mutation
 
 OUT, NAMES, KEPT = "tests/nptrace/test_outputs.py", "tests/nptrace/test_run_names.py", "tests/nptrace_base/test_kernel_cache.py"
+PLACES, PARTS_OF_RUN, RENDER_PARTS = "tests/nptrace_base/test_places.py", "tests/traces/test_manifest.py", "tests/rtrace/test_part_render.py"
 
 MUTATIONS = [
     # Studies in a file, and functions
@@ -25,6 +26,19 @@ MUTATIONS = [
     Mutation("vocabulary: table1 --policy ignored", "cachesim/report/table1.py", "CacheConfig(size, ways, 32, policy) for", "CacheConfig(size, ways, 32) for", "tests/nptrace/test_one_vocabulary.py -k table1"),
     Mutation("vocabulary: table1 --layout ignored", "cachesim/report/table1.py", "source = as_source(run, layout)", "source = as_source(run)", "tests/nptrace/test_one_vocabulary.py -k table1"),
     Mutation("vocabulary: a piece of the rays of a check is left out", "rtrace/checks/embree.py", "threads + 1).astype(int)", "threads + 1).astype(int)[:3]", "tests/nptrace/test_one_vocabulary.py -k threads"),
+    # Object stores and workers
+    Mutation("storage: a password in an address is taken", "nptrace_base/places.py", "    if not (harmless or (", "    if False and not (harmless or (", PLACES),
+    Mutation("storage: any parameter of an address is taken", "nptrace_base/places.py", 'if name not in SCHEMES[remote.scheme] or "@" in value:', 'if "@" in value:', PLACES),
+    Mutation("storage: a broken upload is published", "nptrace_base/places.py", 'f"{path}.{secrets.token_hex(4)}.upload", 0', "path, 0", f"{PLACES} -k publishes"),
+    Mutation("storage: a run of parts is not numbered on", "traces/reader.py", '(("ray", part.first_ray), ("first", part.first_access))', '(("ray", 0), ("first", part.first_access))', PARTS_OF_RUN),
+    Mutation("storage: the content of a file is not checked", "traces/manifest.py", "if len(content) != file.bytes or hashlib.sha256(content).hexdigest() != file.sha256:", "if len(content) != file.bytes:", PARTS_OF_RUN),
+    Mutation("storage: a missing file is noticed when it is read", "traces/reader.py", "    check_there(manifest, path, sizes(path))\n", "", PARTS_OF_RUN),
+    Mutation("storage: offsets of a manifest are not checked", "traces/manifest.py", "if not parts or firsts != list(zip(found.first_rays, found.first_accesses, strict=True)):", "if not parts:", PARTS_OF_RUN),
+    Mutation("workers: a part whose file is cut is taken", "rtrace/part_render.py", "if all(there.get(file.name) == file.bytes for", "if all(file.name in there for", f"{RENDER_PARTS} -k whole"),
+    Mutation("workers: parts of another run are taken", "rtrace/part_render.py", 'rf"part-(\\d+)-{job.key}\\.json"', 'r"part-(\\d+)-[0-9a-f]+\\.json"', f"{RENDER_PARTS} -k another"),
+    Mutation("workers: a killed worker ends the render", "nptrace_base/engines.py", "if in_vain == _ROUNDS or not self._can_restart:", "if True:", f"{RENDER_PARTS} -k killed"),
+    Mutation("workers: the manifest does not wait for its parts", "rtrace/part_render.py", "    check_there(manifest, where, there)", "    pass", f"{RENDER_PARTS} -k vanishes"),
+    Mutation("workers: a changed tree is traced", "rtrace/shared_arrays.py", "if memory.nbytes != file.bytes or hashlib.sha256(memory.data).hexdigest() != file.sha256:", "if memory.nbytes != file.bytes:", f"{RENDER_PARTS} -k refuses"),
     Mutation("outputs: a FIFO is replaced by a file", "nptrace_base/atomic.py",
              "return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)", "return False", f"{OUT}::test_a_fifo_is_written_into"),
     Mutation("outputs: a link is replaced by a file", "nptrace_base/atomic.py",

@@ -1,0 +1,153 @@
+"""Tasks -> their results, by workers: processes, any executor of ``concurrent.futures``, or a Dask cluster.
+
+A task is a function of a module with arguments that can be pickled. It may run twice, so it must give the same both times.
+What a worker finished before it was killed counts; the rest is done again.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from nptrace_base.errors import NptraceError
+
+#: Rounds of workers that are lost one after another, without one finished task, before this is given up.
+_ROUNDS = 3
+
+_T = TypeVar("_T")
+
+
+class WorkersLostError(NptraceError):
+    """Workers were killed and cannot be replaced; the message states what is known."""
+
+
+class Engine:
+    """Workers for tasks.
+
+    Parameters
+    ----------
+    start : callable
+        Returns an executor; called again when its workers are lost, up to ``_ROUNDS`` times in vain if ``can_restart``.
+    what : str
+        What a message calls a worker that is lost.
+    lost : tuple of exception types
+        What the executor raises then.
+    """
+
+    def __init__(
+        self, start: Callable[[], Executor], what: str, *, can_restart: bool, lost: tuple[type[BaseException], ...] = ()
+    ) -> None:
+        self._start, self._what, self._can_restart = start, what, can_restart
+        self._lost: tuple[type[BaseException], ...] = (BrokenExecutor, *lost)
+
+    def results(self, function: Callable[..., _T], tasks: Sequence[tuple]) -> Iterator[tuple[int, _T]]:
+        """Yield the number of each task and what ``function`` returns for its arguments, in the order in which they end.
+
+        Raises
+        ------
+        WorkersLostError
+            The workers were lost, and new ones were too.
+        """
+        left, in_vain = dict(enumerate(tasks)), 0
+        while left:
+            n_before = len(left)
+            # One task that kills its worker takes those beside it along: after a round in vain they go one by one.
+            chosen = list(left) if not in_vain else [list(left)[(in_vain - 1) % n_before]]
+            reason: BaseException | None = None
+            executor = self._start()
+            try:
+                futures: dict[Future[_T], int] = {}
+                try:
+                    for number in chosen:
+                        futures[executor.submit(function, *left[number])] = number
+                except self._lost as e:
+                    reason = e
+                for future in as_completed(futures):
+                    try:
+                        result = future.result()
+                    except self._lost as e:
+                        reason = e
+                        continue
+                    del left[futures[future]]
+                    yield futures[future], result
+            except BaseException:
+                for future in futures:
+                    future.cancel()
+                if self._can_restart:
+                    executor.shutdown(wait=False, cancel_futures=True)
+                raise
+            if self._can_restart:
+                executor.shutdown()
+            if reason is not None:
+                in_vain = in_vain + 1 if len(left) == n_before else 0
+                if in_vain == _ROUNDS or not self._can_restart:
+                    raise WorkersLostError(
+                        f"{self._what} was lost ({type(reason).__name__}) with {len(left)} of {len(tasks)} tasks left; give "
+                        "workers more memory or take fewer, and start the same command again, which goes on from there"
+                    ) from reason
+
+
+def processes(n: int) -> Engine:
+    """Return ``n`` processes of this machine; those that are killed are replaced."""
+    if n < 1:
+        raise NptraceError(f"workers must be at least 1, got {n}; leave it out to work in this process")
+    # Not forked: Numba's and Arrow's threads do not survive it.
+    context = multiprocessing.get_context("spawn")
+    return Engine(lambda: ProcessPoolExecutor(n, context, _begin_worker), "a worker process", can_restart=True)
+
+
+def _begin_worker() -> None:
+    """Leave Ctrl-C to the process that started this one, and end with it, however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def engine_of(workers: int | Executor = 0, scheduler: str | None = None) -> Iterator[Engine | None]:
+    """Yield the engine that options ask for: None for 0 workers, processes, an executor, or a Dask scheduler's workers.
+
+    Raises
+    ------
+    NptraceError
+        Both are given, the extra ``cluster`` is not installed, or the scheduler does not answer.
+    """
+    if scheduler is not None:
+        if workers:
+            raise NptraceError("--workers are processes of this machine, and --scheduler has its own; leave one out")
+        with _dask(scheduler) as engine:
+            yield engine
+    elif isinstance(workers, Executor):
+        yield Engine(lambda: workers, "a worker of the executor", can_restart=False)
+    else:
+        yield processes(workers) if workers else None
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[Engine]:
+    try:
+        from distributed import Client
+        from distributed.comm.core import CommClosedError
+        from distributed.scheduler import KilledWorker
+    except ImportError as e:
+        raise NptraceError(f"--scheduler needs Dask ({e}); install it with pip install 'nptrace[cluster]'") from e
+    try:
+        client: Any = Client(address, timeout="10s", set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as e:
+        reason = (str(e) or type(e).__name__).splitlines()[0]
+        raise NptraceError(f"there is no Dask scheduler at {address} ({reason}); start one with `dask scheduler`") from e
+    try:
+        lost = (CommClosedError, KilledWorker, CancelledError)
+        yield Engine(lambda: client.get_executor(pure=False), "a worker of the cluster", can_restart=False, lost=lost)
+    finally:
+        client.close(timeout=5)
