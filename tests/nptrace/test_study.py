@@ -132,6 +132,10 @@ def test_another_run_of_the_name_is_kept_and_a_damaged_one_is_made_again(folder)
         ('scenes = ["ball.obj"]', "", 2, "[render] names no scene"),
         ("[replay]", "seed = [1, 2]\n[replay]", 6, "render.seed is one value, and no list; write render.seed = 1"),
         ("[replay]", "batch = -1\n[replay]", 6, "render.batch is -1, and no whole number from 0"),
+        ("[replay]", "packet = 8\n[replay]", 6, "packet must be one of 1, 4, 16, 64 rays, got 8"),
+        ("[replay]", "packet = [1, 4]\n[replay]", 6, "on the clock every ray reads for itself; leave out [time]"),
+        ("[replay]", 'shadow = ["lit", "some"]\n[replay]', 6, "shadow must be one of lit, hit, all, got 'some'"),
+        ("[replay]", 'shadow_end = "drain"\nbvh_nodes = 64\n[replay]', 7, "and not for bvh64; leave out"),
         ("[replay]", 'bvh = "fast"\n[replay]', 6, "'fast' is neither"),
         ("[replay]", "bvh_nodes = 48\n[replay]", 6, "bvh_nodes: '48' is not one of"),
         ("[replay]", 'camera = "eye=1"\n[replay]', 6, "eye=1"),
@@ -149,6 +153,20 @@ def test_an_error_names_its_line(folder, old, new, line, sentence):
         return
     assert said.startswith(f"Error: study.toml, line {line}: ") and sentence in said and said.count("\n") == 1
     assert not Path("runs").exists()
+
+
+def test_packets_and_shadow_rays_are_combinations_too(folder):
+    knobs = 'packet = [1, 16]\nshadow = ["lit", "hit"]\nshadow_order = "cheaper"\n'
+    text = STUDY.replace('["16x16", "24x16"]', '"16x16"').replace('["scanline", "morton"]', f'"tile"\n{knobs}')
+    (folder / "study.toml").write_text(text.partition("[time]")[0])
+    run(cli.nptrace, "run", "study.toml")
+    rows = pq.read_table("study.parquet").to_pylist()
+    told = {(row["tree"], row["packet"], row["shadow"], row["shadow_order"], row["shadow_end"], row["run"]) for row in rows}
+    names = [f"{packet}{shadow}-shadow-order-cheaper-16x16" for packet in ("", "-packet16") for shadow in ("", "-shadow-hit")]
+    assert sorted(each[-1] for each in told) == sorted(
+        f"ball-{tree}-tile{name}" for tree in ("kdtree", "bvh") for name in names
+    )
+    assert {each[1:5] for each in told} == {(n, who, "cheaper", "stop") for n in (1, 16) for who in ("lit", "hit")}
 
 
 def test_what_is_no_study_is_one_sentence(folder):

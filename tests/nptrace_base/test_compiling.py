@@ -38,6 +38,8 @@ one = ["traces/blob-kdtree", "--prefetch", "treelet"]
 small = ["--pixels", "8x8", "--offline"]
 run(cli.nptrace, "render", "blob", "--name", "blob", *small)
 run(cli.nptrace, "render", "court", "--accel", "bvh", "--bvh", "binned", "--batch", "0", *small)
+knobs = ["--shadow", "all", "--shadow-order", "cheaper", "--shadow-end", "drain"]
+run(cli.nptrace, "render", "court", "--packet", "16", "--out", "packets", *knobs, *small)
 run(cli.nptrace, "check", "blob", *small, "--random", "50")
 run(cli.nptrace, "export", "traces/blob-bvh")
 run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "lru,fifo,random", "--line", "16,32,64")
