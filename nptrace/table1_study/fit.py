@@ -14,7 +14,7 @@ from cachesim.report.table1 import SCENES, TREES, paper_table
 from nptrace.table1_study.figures import CACHES, Row, octaves
 
 #: Knobs that are the rays' and the unit's, and so the same for both trees.
-SHARED = ("pixels", "order", "batch", "light", "prefetch", "flush", "policy")
+SHARED = ("pixels", "order", "batch", "packet", "shadow", "shadow_order", "shadow_end", "light", "prefetch", "flush", "policy")
 
 #: Points of B/A that an octave (a factor of two) of the miss rate A is worth.
 WEIGHT = 4.0
@@ -125,7 +125,7 @@ class Fits:
 
     def _views(
         self, places: Sequence[Mapping[tuple[str, View], dict[Any, Residual]]], is_known: Callable[[Residual], bool],
-        weight: float, loss: Callable[[Sequence[float]], float],
+        weight: float,
     ) -> dict[str, tuple[View, list[float], list[Residual]]]:  # fmt: skip
         """Return, for each scene, its view of the least loss, the losses of the known rows, and all residuals."""
         found: dict[str, tuple[View, list[float], list[Residual]]] = {}
@@ -134,7 +134,7 @@ class Fits:
                 continue
             residuals = [residual for place in places for residual in place[scene, view].values()]
             losses = [abs(each.ratio) + weight * abs(each.miss) for each in residuals if is_known(each)]
-            if scene not in found or (losses and loss(losses) < loss(found[scene][1])):
+            if scene not in found or (losses and mean(losses) < mean(found[scene][1])):
                 found[scene] = view, losses, residuals
         return found
 
