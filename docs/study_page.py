@@ -467,8 +467,8 @@ def answer(cog: Any) -> None:
     )
     cog.outl(
         "- **Most rows are possible.** The paper's miss rate A lies inside our range in "
-        f"{n['miss_a']} of 32 rows, its B/A in {n['miss_ratio']}. One model leaves B/A {at.median:.1f} points off in the median "
-        f"row, {at.worst:.1f} in the worst."
+        f"{n['miss_a']} of 32 rows, its B/A in {n['miss_ratio']}. One model leaves B/A {at.median:.1f} points off in the "
+        f"median row, {at.worst:.1f} in the worst."
     )
     cog.outl(
         "- **Two rows are not.** The direct-mapped rows of kd-tree Bunny save lines, and prefetching cannot save a line in a "

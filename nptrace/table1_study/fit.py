@@ -14,7 +14,7 @@ from cachesim.report.table1 import SCENES, TREES, paper_table
 from nptrace.table1_study.figures import CACHES, Row, octaves
 
 #: Knobs that are the rays' and the unit's, and so the same for both trees.
-SHARED = ("pixels", "order", "batch", "light", "prefetch", "flush", "policy")
+SHARED = ("pixels", "order", "batch", "packet", "shadow", "shadow_order", "shadow_end", "light", "prefetch", "flush", "policy")
 
 #: Points of B/A that an octave (a factor of two) of the miss rate A is worth.
 WEIGHT = 4.0
@@ -97,24 +97,32 @@ class Fits:
         self, is_known: Callable[[Residual], bool] = lambda residual: True, weight: float = WEIGHT,
         loss: Callable[[Sequence[float]], float] = mean, scenes: Sequence[str] = SCENES,
     ) -> Model | None:  # fmt: skip
-        """Return the model of the least loss over the rows that ``is_known`` accepts, of some scenes; None without any."""
-        best: tuple[float, Model] | None = None
+        """Return the model of the least loss over the rows that ``is_known`` accepts, of some scenes; None without any.
+
+        Each scene has the view of the least mean; ``loss`` is that of all rows together.
+        """
+        best: tuple[float, Any] | None = None
         for shared, by_tree in self._cells.items():
             if set(by_tree) != set(TREES):
                 continue
-            for mine in product(*(by_tree[tree] for tree in TREES)):
-                chosen = self._views(
-                    [by_tree[tree][own] for tree, own in zip(TREES, mine, strict=True)], is_known, weight, loss
-                )
+            known = {tree: [(own, _losses(place, is_known, weight)) for own, place in by_tree[tree].items()] for tree in TREES}
+            for mine in product(*known.values()):
+                chosen = _views([losses for _, losses in mine])
                 if not set(scenes) <= set(chosen):
                     continue
-                value = loss([each for scene in scenes for each in chosen[scene][1]])
+                value = loss([each for scene in scenes for _, losses in mine for each in losses[scene, chosen[scene]]])
                 if best is None or value < best[0]:
-                    own = {tree: dict(zip(self._own, each, strict=True)) for tree, each in zip(TREES, mine, strict=True)}
-                    residuals = [each for scene in chosen for each in chosen[scene][2]]
-                    views = {scene: chosen[scene][0] for scene in chosen}
-                    best = value, Model(dict(zip(SHARED, shared, strict=True)), own, views, residuals)
-        return best[1] if best else None
+                    best = value, (shared, [own for own, _ in mine], chosen)
+        return self._model(*best[1]) if best else None
+
+    def _model(self, shared: tuple[Any, ...], mine: Sequence[tuple[Any, ...]], views: dict[str, View]) -> Model:
+        places = [self._cells[shared][tree][own] for tree, own in zip(TREES, mine, strict=True)]
+        return Model(
+            shared=dict(zip(SHARED, shared, strict=True)),
+            own={tree: dict(zip(self._own, own, strict=True)) for tree, own in zip(TREES, mine, strict=True)},
+            views=views,
+            residuals=[each for place in places for view in views.items() for each in place[view].values()],
+        )
 
     def under_every_view(self, model: Model, scene: str) -> list[Summary]:
         """Return what a model leaves of a scene's rows, for each of its views."""
@@ -123,20 +131,26 @@ class Fits:
         views = [view for of, view in places[0] if of == scene and all((scene, view) in place for place in places)]
         return [summary([each for place in places for each in place[scene, view].values()]) for view in views]
 
-    def _views(
-        self, places: Sequence[Mapping[tuple[str, View], dict[Any, Residual]]], is_known: Callable[[Residual], bool],
-        weight: float, loss: Callable[[Sequence[float]], float],
-    ) -> dict[str, tuple[View, list[float], list[Residual]]]:  # fmt: skip
-        """Return, for each scene, its view of the least loss, the losses of the known rows, and all residuals."""
-        found: dict[str, tuple[View, list[float], list[Residual]]] = {}
-        for scene, view in places[0]:
-            if not all((scene, view) in place for place in places):
-                continue
-            residuals = [residual for place in places for residual in place[scene, view].values()]
-            losses = [abs(each.ratio) + weight * abs(each.miss) for each in residuals if is_known(each)]
-            if scene not in found or (losses and loss(losses) < loss(found[scene][1])):
-                found[scene] = view, losses, residuals
-        return found
+
+def _losses(
+    place: Mapping[tuple[str, View], dict[Any, Residual]], is_known: Callable[[Residual], bool], weight: float
+) -> dict[tuple[str, View], list[float]]:
+    """Return the losses of the known rows of every scene and view."""
+    return {
+        where: [abs(each.ratio) + weight * abs(each.miss) for each in rows.values() if is_known(each)]
+        for where, rows in place.items()
+    }
+
+
+def _views(losses: Sequence[Mapping[tuple[str, View], list[float]]]) -> dict[str, View]:
+    """Return, for each scene, the view of the least loss among those that all have; any where no row is known."""
+    found: dict[str, tuple[float, View]] = {}
+    for scene, view in losses[0]:
+        if all((scene, view) in each for each in losses):
+            total = sum(sum(each[scene, view]) for each in losses)
+            if scene not in found or total < found[scene][0]:
+                found[scene] = total, view
+    return {scene: view for scene, (_, view) in found.items()}
 
 
 def by_cache(*known: tuple[int, int]) -> Callable[[Residual], bool]:

@@ -20,6 +20,10 @@ class Setting:
         Primary rays before their shadow rays, 0 for all of them.
     builder : str
         Parameters of the tree's builder, as ``--kd`` or ``--bvh`` takes them.
+    packet : int
+        Primary rays that walk the tree as one, then their shadow rays.
+    shadow, shadow_order, shadow_end : str
+        Which pixels send a shadow ray, the child that it searches first, and what is read after its hit (``rtrace.shooting``).
     light : str
         ``"scene"``, or ``"manta"``: beyond the upper corner of the scene's box.
     layout, reads, flush, prefetch : str
@@ -31,6 +35,10 @@ class Setting:
     pixels: int = 128
     order: str = "scanline"
     batch: int = 1
+    packet: int = 1
+    shadow: str = "lit"
+    shadow_order: str = "sign"
+    shadow_end: str = "stop"
     builder: str = ""
     light: str = "scene"
     layout: str = "stored"
@@ -45,7 +53,7 @@ class Setting:
 
 
 #: Knobs that need another run; the others are decided at replay.
-RENDERED = ("pixels", "order", "batch", "builder", "light")
+RENDERED = ("pixels", "order", "batch", "packet", "shadow", "shadow_order", "shadow_end", "builder", "light")
 REPLAYED = tuple(each.name for each in fields(Setting) if each.name not in RENDERED)
 
 
@@ -95,6 +103,22 @@ KNOBS = (
     Knob(
         "batch", "primary rays before their shadow rays", _both(64, 0), "render",
         "Manta: 64, then their shadow rays; all primaries first is usual in hardware papers",
+    ),
+    Knob(
+        "packet", "rays of a packet", _both(4, 16, 64), "render",
+        "the text has single rays; Manta's default is 64",
+    ),
+    Knob(
+        "shadow", "pixels with a shadow ray", _both("hit", "all"), "render",
+        "\"a primary ray and a shadow ray per pixel\"; Manta sends none away from the light",
+    ),
+    Knob(
+        "shadow_order", "child that shadow rays search first", _both("cheaper"), "render",
+        "Manta's RTSAH: the cheaper side first",
+    ),
+    Knob(
+        "shadow_end", "reads after a shadow ray's hit", _both("drain"), "render",
+        "hardware stops; Manta's recursion enters all that waits",
     ),
     Knob(
         "builder", "builder",

@@ -28,27 +28,56 @@ class Job(NamedTuple):
 
 
 class Combination(NamedTuple):
-    """Values of several knobs, all of which are combined with each other."""
+    """Values of several knobs, all of which are combined with each other; a mapping sets several knobs at once.
+
+    Attributes
+    ----------
+    own_only : bool
+        Measured at a scene's own view alone.
+    """
 
     trees: tuple[str, ...]
+    own_only: bool
     values: dict[str, tuple[Any, ...]]
 
 
 #: The unit, with what a reader of the paper may take it for.
-_UNITS = ("stack:unlimited", "stack:unlimited:once", "stack:unlimited:restart", "stack:tris*1", "stack:tris*2",
+_UNITS = ("stack:unlimited", "stack:unlimited:once", "stack:unlimited:restart", "stack:tris*1", "stack:tris*2", "stack:tris*4",
           "stack:budget=1", "stack:budget=2")  # fmt: skip
-#: Pixels, order and batch: single rays, and those of Manta's tiles.
-_RAYS: tuple[dict[str, Any], ...] = ({}, {"order": "tile", "batch": 64})
+#: Those that the first look found near.
+_FEW_UNITS = ("stack:unlimited", "stack:unlimited:once", "stack:tris*1", "stack:tris*2")
+
+_TILES: dict[str, Any] = {"order": "tile", "batch": 64}
+_SMALL_PACKETS = _TILES | {"packet": 64, "pixels": 256}
+#: Pixels, order, batch and packets: single rays; those of Manta's tiles; its packets, in small pictures and in its own.
+_RAYS: tuple[dict[str, Any], ...] = ({}, _TILES, {"packet": 4}, _SMALL_PACKETS, _TILES | {"packet": 64, "pixels": 512})
+#: Shadow rays of hardware, and Manta's.
+_SHADOWS: tuple[dict[str, Any], ...] = ({}, {"shadow_order": "cheaper", "shadow_end": "drain"})
 
 COMBINATIONS = (
     Combination(
-        (KD,),
+        (KD,), True,
         {
-            "rays": _RAYS, "builder": ("", "coarse"), "layout": ("stored", "stored+8"), "reads": ("own", "merged"),
+            "rays": _RAYS, "shadows": _SHADOWS, "builder": ("", "coarse", "min_leaf=4"),
+            "layout": ("stored", "stored+8", "stored+16"), "reads": ("own", "merged"),
             "prefetch": (*_UNITS, "stack:unlimited:empty"),
         },
     ),
-    Combination((BVH,), {"rays": _RAYS, "reads": ("own", "children"), "prefetch": _UNITS}),
+    Combination(
+        (BVH,), True,
+        {
+            "rays": _RAYS, "shadows": _SHADOWS, "builder": ("", "min_leaf=4"), "reads": ("own", "children"),
+            "prefetch": _UNITS,
+        },
+    ),
+    Combination(
+        (KD,), False,
+        {
+            "rays": ({}, _SMALL_PACKETS), "builder": ("", "coarse"), "layout": ("stored", "stored+8"),
+            "reads": ("own", "merged"), "prefetch": _FEW_UNITS,
+        },
+    ),
+    Combination((BVH,), False, {"rays": ({}, _SMALL_PACKETS), "reads": ("own", "children"), "prefetch": _FEW_UNITS}),
 )  # fmt: skip
 
 #: For a test of the whole chain: two scenes, and on one of them the first values of some knobs.
@@ -66,9 +95,11 @@ def plan(*, quick: bool = False) -> list[Job]:
             jobs += _jobs(own, tree, one_at_a_time(base, tree, first_only=quick) if scene == "sponza" or not quick else [base])
     if quick:
         return jobs
-    for scene in SCENES:
-        for view, tree in product(views(scene), TREES):
-            jobs += _jobs(view, tree, combined(base, tree))
+    for is_own in (True, False):
+        for scene, tree in product(SCENES, TREES):
+            of = views(scene)
+            for view in of[:1] if is_own else of[1:]:
+                jobs += _jobs(view, tree, combined(base, tree, is_own=is_own))
     return _merged(jobs)
 
 
@@ -82,10 +113,10 @@ def one_at_a_time(base: Setting, tree: str, *, first_only: bool = False) -> Iter
             yield replace(base, **{knob.name: value})
 
 
-def combined(base: Setting, tree: str) -> Iterator[Setting]:
-    """Yield the plausible combinations for a tree."""
+def combined(base: Setting, tree: str, *, is_own: bool) -> Iterator[Setting]:
+    """Yield the plausible combinations for a tree, at a scene's own view or at another."""
     for combination in COMBINATIONS:
-        if tree not in combination.trees:
+        if tree not in combination.trees or (combination.own_only and not is_own):
             continue
         for values in product(*combination.values.values()):
             given: dict[str, Any] = {}
