@@ -17,6 +17,8 @@ from nptrace_base.errors import NptraceError
 
 #: Rounds of workers that are lost one after another, without one finished task, before this is given up.
 _ROUNDS = 3
+#: What a Dask scheduler has to answer.
+_PATIENCE = "10s"
 
 _T = TypeVar("_T")
 
@@ -142,7 +144,7 @@ def _dask(address: str) -> Iterator[Engine]:
     except ImportError as e:
         raise NptraceError(f"--scheduler needs Dask ({e}); install it with pip install 'nptrace[cluster]'") from e
     try:
-        client: Any = Client(address, timeout="10s", set_as_default=False)
+        client: Any = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as e:
         reason = (str(e) or type(e).__name__).splitlines()[0]
         raise NptraceError(f"there is no Dask scheduler at {address} ({reason}); start one with `dask scheduler`") from e

@@ -202,8 +202,8 @@ def _checked(remote: Remote) -> Remote:
     harmless = user in (("", "anonymous") if remote.scheme in ("gs", "gcs") else ("",))
     if not (harmless or (remote.scheme in ("abfs", "abfss") and ":" not in user)):  # there it is the container
         raise PlaceError(
-            f"{shown} was given with a user or a password before its @; leave them out, and set {_FROM[remote.scheme]} in the "
-            "environment"
+            f"{shown} was given with a user or a password before its @; leave them out: keys come from the environment "
+            f"({_FROM[remote.scheme]})"
         )
     if not host:
         raise PlaceError(f"{remote.scheme}:// names no bucket; write e.g. {remote.scheme}://bucket/folder")
@@ -211,7 +211,7 @@ def _checked(remote: Remote) -> Remote:
         if name not in SCHEMES[remote.scheme] or "@" in value:
             raise PlaceError(
                 f"{shown} was given with the parameter {name[:40]!r}; an address takes {', '.join(SCHEMES[remote.scheme])}, "
-                f"and keys are set in the environment ({_FROM[remote.scheme]})"
+                f"and keys come from the environment ({_FROM[remote.scheme]})"
             )
     return remote
 

@@ -63,7 +63,7 @@ MUTATIONS = [
     Mutation("din: a label may not have 0x", DI, "        if text[i] != 10:\n            if text[i] == 48 and (text[i + 1] == 120 or text[i + 1] == 88):\n                i += 2\n", "        if text[i] != 10:\n", f"{DIN} {STREAMS}"),
     Mutation("din: no warning of pre-fetches that span lines", DI, 'if fmt == "binary" and prefetch == "b":', 'if fmt == "xml":', STREAMS),
     # --- names and forms ---
-    Mutation("names: handed to Arrow", RD, 'handles.enter_context(file.open("rb"))', "str(file)", STREAMS),
+    Mutation("names: handed to Arrow", RD, "handles.enter_context(opened(file))", "str(file)", STREAMS),
     Mutation("names: written by Arrow", "traces/writer.py", 'pa.OSFile(os.fsencode(path), "wb")', 'pa.OSFile(str(path), "wb")', STREAMS),
     Mutation("names: printed as they are", "nptrace/groups.py", 'sys.stdout.reconfigure(errors="backslashreplace")', "pass", STREAMS),
     Mutation("forms: --json beside another form", "nptrace/output.py", 'if as_json and form not in (None, "json"):', 'if as_json and form == "json":', STREAMS),

@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 import cli
 import nptrace as nt
+import nptrace_base.engines as engines
 import rtrace.part_render as part_render
 from nptrace_base.engines import WorkersLostError, engine_of
 from rtrace.part_render import trace_part
@@ -18,7 +19,7 @@ from rtrace.scenes.stand_ins import stand_in
 def cluster():
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as running:
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as running:
         yield running
 
 
@@ -49,7 +50,7 @@ def test_a_scheduler_that_is_lost_is_one_sentence():
     from distributed import LocalCluster
 
     with (
-        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as running,
+        LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0") as running,
         engine_of(scheduler=running.scheduler_address) as engine,
     ):
         assert list(engine.results(abs, [(-1,)])) == [(0, 1)]
@@ -67,6 +68,7 @@ def test_a_scheduler_that_is_lost_is_one_sentence():
 )
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path, monkeypatch, args, sentence):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(engines, "_PATIENCE", "1s")
     result = CliRunner().invoke(cli.nptrace, ["render", "blob", "--pixels", "8x8", *args])
     assert result.exit_code == 2 and f"Error: {sentence}" in result.stderr
     assert list(tmp_path.iterdir()) == []
