@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, TypeVar, Unpack, over
 
 from nptrace.progress import Progress
 from nptrace.results import Results
-from nptrace.studies import Where
+from nptrace.studies import Where, Workers
 from nptrace_base.errors import NptraceError
 from traces.reader import Run, open_run
 
@@ -126,7 +126,7 @@ def open(path: Path | str) -> Run:
 def replay(
     sources: Sources = (), /, *, traces: Path | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", three_c: bool = False,
-    by: str | None = None, threads: int | None = None,
+    by: str | None = None, threads: int | None = None, workers: Workers = None,
 ) -> Results:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of caches, exactly, as ``npcache replay`` does.
 
@@ -146,6 +146,8 @@ def replay(
         ``"pixel"``, ``"level"``, ``"node"`` or ``"ray-type"``: return where the counts fall, a row for each.
     threads : int, optional
         By default, the number of processors; the results do not depend on it.
+    workers : int or concurrent.futures.Executor, optional
+        Processes to use instead of threads, or what runs calls elsewhere, each for parts of a run.
 
     Raises
     ------
@@ -158,19 +160,24 @@ def replay(
 
     if by not in (None, *BY):
         raise NptraceError(f"by: {by!r} is not one of {', '.join(BY)}")
+    if by is not None and workers is not None:
+        raise NptraceError(f"by: counts by {by} are not made by workers; leave by or workers out")
     configs, policies, layouts = replay_plan(size, ways, line, policy, seed, prefetch, layout)
     chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
         if by is not None:
             grouped = replayed_by(chosen, configs, policies, layouts, by, bar, three_c=three_c, threads=threads)
             return Results("replay", GroupedRecords(grouped), lambda: group_tables.tables(grouped))
-        results = replayed(chosen, configs, policies, layouts, bar, three_c=three_c, threads=threads)
+        results = replayed(
+            chosen, configs, policies, layouts, bar, three_c=three_c, threads=threads, workers=workers
+        )  # fmt: skip
     return Results("replay", [each.to_dict() for each in results], lambda: replay_tables.tables(results))
 
 
 def sweep(
     sources: Sources = (), /, *, traces: Path | str = "traces", size: Given = "4K..64K", ways: Given = "1",
     line: Given = "32", prefetch: Given = "traced", layout: Given = "stored", threads: int | None = None,
+    workers: Workers = None,
 ) -> Results:  # fmt: skip
     """Count the misses of every LRU cache in ranges, in one pass over each trace, as ``npcache sweep`` does.
 
@@ -183,7 +190,7 @@ def sweep(
     configs, policies, layouts = sweep_plan(size, ways, line, prefetch, layout)
     chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
-        rows = swept(chosen, configs, policies, layouts, bar, threads=threads)
+        rows = swept(chosen, configs, policies, layouts, bar, threads=threads, workers=workers)
     return Results("sweep", [row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
 
 

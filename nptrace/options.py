@@ -121,3 +121,11 @@ def threads_option() -> Any:
         "--threads", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all processors",
         help="Threads to use; the results do not depend on it.",
     )  # fmt: skip
+
+
+def workers_option() -> Any:
+    """Return the option for the number of processes."""
+    return click.option(
+        "--workers", type=click.IntRange(1), metavar="N",
+        help="Processes to use instead of threads, each for parts of a run; the results do not depend on it.",
+    )  # fmt: skip

@@ -6,6 +6,7 @@ the studies of ``nptrace run`` share it, so that all three count the same.
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
 
 #: What is replayed: a run, or the place of a run or a trace.
 Where = Run | Path | str
+
+#: Processes, or what else runs calls elsewhere, each for a part of a run; None: threads of this process.
+Workers = int | Executor | None
 
 
 def rendered(
@@ -63,7 +67,7 @@ def rendered(
 
 def replayed(
     sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
-    bar: Progress, *, three_c: bool = False, threads: int | None = None,
+    bar: Progress, *, three_c: bool = False, threads: int | None = None, workers: Workers = None,
 ) -> "list[Result]":  # fmt: skip
     """Replay every source under every layout and prefetch policy through every cache, the caches fastest."""
     from cachesim.prefetch import parse_prefetch
@@ -76,8 +80,36 @@ def replayed(
         for policy in policies:
             bar.job(source.identity.run)
             advance = bar.phase(f"replay, prefetch {policy}", source.n_events)
-            results += replay(source, configs, prefetch=policy, three_c=three_c, threads=threads, progress=advance)
+            results += replay(
+                source, configs, prefetch=policy, three_c=three_c, threads=threads, workers=workers, progress=advance
+            )  # fmt: skip
     return results
+
+
+def summarised(
+    run: Run, configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str], part: tuple[int, int],
+    out: Path, bar: Progress, *, three_c: bool = False, threads: int | None = None,
+) -> tuple[int, int]:  # fmt: skip
+    """Replay part i of n of a run as ``replayed`` does, and write its summary; return its accesses and the file's bytes."""
+    from cachesim.parts import Part, pass_through
+    from cachesim.replay import Replay
+    from cachesim.source import RunSource
+    from cachesim.summary import check_parts
+    from cachesim.summary_file import Asked, write_part
+
+    asked, summaries, source = [], [], None
+    for layout in parsed(layouts):
+        whole = RunSource(run, layout)
+        source = Part(whole, *part, {})
+        for prefetch in prefetches:
+            question = Replay(tuple(configs), prefetch, three_c)
+            check_parts(question.configs, question.policy)
+            bar.job(f"part {part[0]} of {part[1]}")
+            advance = bar.phase(f"replay, prefetch {prefetch}", source.n_events)
+            asked.append(Asked(str(layout), question))
+            summaries.append(pass_through(source, question, threads or os.cpu_count() or 1, advance))
+    assert source is not None
+    return source.run.n_accesses, write_part(out, source.run, asked, summaries)
 
 
 def replayed_by(
@@ -104,7 +136,7 @@ def replayed_by(
 
 def swept(
     sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
-    bar: Progress, *, threads: int | None = None,
+    bar: Progress, *, threads: int | None = None, workers: Workers = None,
 ) -> "list[SweepRow]":  # fmt: skip
     """Count the misses of every LRU cache, in the order of ``replayed``."""
     from cachesim.sweep import sweep
@@ -115,7 +147,7 @@ def swept(
         for policy in prefetches:
             bar.job(source.identity.run)
             advance = bar.phase(f"sweep, prefetch {policy}", source.n_events)
-            rows += sweep(source, configs, prefetch=policy, threads=threads, progress=advance)
+            rows += sweep(source, configs, prefetch=policy, threads=threads, workers=workers, progress=advance)
     return rows
 
 

@@ -32,7 +32,7 @@ Record = dict[str, Any]
 #: The keys outside the tables, and what they are when left out.
 TOP = {"out": "traces"}
 #: The tables of stage 2, and the keys of their functions that a study has no use for.
-SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), ("sources", "traces", "threads", "by", "numbers")
+SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), ("sources", "traces", "threads", "workers", "by", "numbers")
 
 
 @dataclass(frozen=True)

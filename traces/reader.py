@@ -1,6 +1,7 @@
 """A run on disk -> its footer and columns, or one sentence that says what is wrong with it."""
 
 import hashlib
+import os
 import weakref
 from base64 import b64encode
 from collections.abc import Iterable, Iterator
@@ -20,6 +21,7 @@ from traces.format import (
     FILES,
     METADATA_KEY,
     NODES,
+    PREFETCH,
     RAYS,
     ROW_GROUP,
     SPLIT,
@@ -41,6 +43,9 @@ _SCHEMAS = {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}
 _FIELDS = {name: {field.name: field for field in schema} for name, schema in _SCHEMAS.items()}
 _FIELDS["nodes"] |= {field.name: field for field in (*SPLIT, *BOX)}
 
+#: Bytes at the end of a Parquet file, after its footer: the length of the footer, and PAR1.
+_TAIL = 8
+
 #: The exceptions that a damaged Parquet file raises.
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
@@ -53,6 +58,7 @@ class Run:
         self.footer = footer
         self._files = files
         self._axis: np.ndarray | None = None  # of nodes that have been checked
+        self.rows = range(footer.n_accesses)
 
     def __repr__(self) -> str:
         of = self.identity
@@ -84,8 +90,45 @@ class Run:
 
     @property
     def n_accesses(self) -> int:
-        """Rows of ``accesses.parquet``, prefetches included."""
-        return self.footer.n_accesses
+        """Rows of ``accesses.parquet``, prefetches included; of a part, those of the part, which are ``rows``."""
+        return len(self.rows)
+
+    @property
+    def digest(self) -> str:
+        """A hash of what the Parquet files say of themselves: the facts of the run, and the place and range of all columns."""
+        digest = hashlib.sha256()
+        for name in _SCHEMAS:
+            with (self.path / f"{name}.parquet").open("rb") as file:
+                file.seek(-_TAIL, os.SEEK_END)
+                n_bytes = int.from_bytes(file.read(4), "little")
+                file.seek(-_TAIL - n_bytes, os.SEEK_END)
+                digest.update(file.read(n_bytes))
+        return digest.hexdigest()
+
+    def part(self, number: int, n: int) -> "Run":
+        """Return part ``number``, from 1 on, of ``n`` parts with about as many accesses each.
+
+        It is a run with its own files, whose ``batches`` are those of the part. A part begins with the first access of a ray,
+        the read of the root, and goes on to where the next part begins: some may be empty.
+        """
+        part = open_run(self.path)
+        if part.footer != self.footer:
+            raise RunError(f"{self.path} has changed while it was read; start again")
+        first, end = (part._ray_at(i * self.footer.n_accesses // n) for i in (number - 1, number))
+        part.rows = range(first, end)
+        return part
+
+    def _ray_at(self, row: int) -> int:
+        """Return the first row from ``row`` on with which a ray begins, or the number of rows."""
+        if row == 0:
+            return 0
+        rows = range(row, self.footer.n_accesses)
+        for read in _batches(self._files["accesses"], ["kind", "node"], self.path / "accesses.parquet", rows):
+            begins = (read.column("node").to_numpy() == 0) & (read.column("kind").to_numpy() != PREFETCH)
+            if begins.any():
+                return row + int(begins.argmax())
+            row += read.num_rows
+        return row
 
     def columns(self, table: str, names: list[str] | None = None) -> dict[str, np.ndarray]:
         """Read whole columns of ``rays`` or ``nodes`` (or of a small ``accesses``) as NumPy arrays.
@@ -128,12 +171,12 @@ class Run:
                 yield batch
 
     def _checked(self, names: tuple[str, ...]) -> Iterator[tuple[np.ndarray, ...]]:
-        path, row = self.path / "accesses.parquet", 0
+        path, row = self.path / "accesses.parquet", self.rows.start
         ends = np.cumsum(self.columns("rays", ["count"])["count"], dtype=np.uint64) if "ray" in names else None
         # Not in a thread of its own beside the accesses: the two share a cache, which costs processor time.
         axis = self.columns("nodes", ["axis"])["axis"] if self._axis is None else self._axis
         allowed = kinds_allowed(axis, self.footer.tree.node_format)
-        for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path):
+        for read in _batches(self._files["accesses"], sorted({*names, "node", "kind"}), path, self.rows):
             columns = {name: plain(read.column(name), ACCESSES.field(name), path, row) for name in read.schema.names}
             check_accesses(columns["node"], columns["kind"], allowed, path, row)
             if ends is not None:
@@ -142,16 +185,23 @@ class Run:
             yield tuple(columns[name] for name in names)
 
 
-def _batches(file: pq.ParquetFile, names: list[str], path: Path) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of a file, of one row group after the other, ``ROW_GROUP`` rows or fewer at a time."""
-    n_read = 0
+def _batches(file: pq.ParquetFile, names: list[str], path: Path, rows: range) -> Iterator[pa.RecordBatch]:
+    """Yield some rows of a file, of one row group after the other, ``ROW_GROUP`` rows or fewer at a time."""
+    start = n_read = n_passed = 0
     try:
         for group in range(file.num_row_groups):
+            n_here = file.metadata.row_group(group).num_rows
+            if start + n_here <= rows.start or start >= rows.stop:
+                start, n_passed = start + n_here, n_passed + n_here
+                continue
             for batch in file.iter_batches(ROW_GROUP, row_groups=[group], columns=names, use_threads=False):
                 n_read += batch.num_rows
-                yield batch
-        if n_read != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
-            raise OSError(f"{n_read} of {file.metadata.num_rows} rows can be read")
+                first, end = max(rows.start - start, 0), min(rows.stop - start, batch.num_rows)
+                if first < end:
+                    yield batch.slice(first, end - first)
+                start += batch.num_rows
+        if n_read + n_passed != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
+            raise OSError(f"{n_read + n_passed} of {file.metadata.num_rows} rows can be read")
     except _UNREADABLE as e:
         raise _damaged(path, e) from e
 

@@ -7,7 +7,16 @@ import click
 
 from cachesim.config import parse_bytes
 from nptrace.groups import BadInput, Command
-from nptrace.options import Caches, gathered, list_option, policy_option, size_option, threads_option, ways_option
+from nptrace.options import (
+    Caches,
+    gathered,
+    list_option,
+    policy_option,
+    size_option,
+    threads_option,
+    ways_option,
+    workers_option,
+)
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, again, chosen_sources, traces_option, untimed_policies
@@ -33,11 +42,12 @@ BY = ("pixel", "level", "node", "ray-type")
     help="Write where the counts of a run fall: a row for each pixel, level, node or type of ray.",
 )
 @threads_option()
+@workers_option()
 @results_options("dinero")
 @gathered("caches", Caches)
 def replay(
     sources: tuple[Path, ...], folder: Path, caches: Caches, prefetch: list[str], layout: list[str], three_c: bool,
-    by: str | None, threads: int, output: Output,
+    by: str | None, threads: int, workers: int | None, output: Output,
 ) -> None:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of the cache options, exactly.
 
@@ -56,10 +66,12 @@ def replay(
 
     if by is not None and output.form == "dinero":
         raise BadInput("--format dinero has the counts of whole caches, and --by asks for their parts; leave one out")
+    if by is not None and workers is not None:
+        raise BadInput(f"--by: counts by {by} are not made by workers; leave --by or --workers out")
     configs, paths, began = caches.configs(), chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
         if by is None:
-            results = replayed(paths, configs, prefetch, layout, bar, three_c=three_c, threads=threads)
+            results = replayed(paths, configs, prefetch, layout, bar, three_c=three_c, threads=threads, workers=workers)
             runs = {result.identity for result in results}
         else:
             grouped = replayed_by(paths, configs, prefetch, layout, by, bar, three_c=three_c, threads=threads)

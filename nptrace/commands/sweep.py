@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from cachesim.config import parse_bytes
-from nptrace.options import list_option, threads_option, ways_option
+from nptrace.options import list_option, threads_option, ways_option, workers_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.sources import again, chosen_sources, traces_option
@@ -21,11 +21,12 @@ from nptrace.sources import again, chosen_sources, traces_option
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help="Prefetch policy: none, traced, stack[:...].")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help="Node layout, as in npcache replay.")
 @threads_option()
+@workers_option()
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options(default="csv")
 def sweep(
     sources: tuple[Path, ...], folder: Path, size: list[str], ways: list[tuple[str, ...]], line: list[int],
-    prefetch: list[str], layout: list[str], threads: int, picture: Path | None, output: Output,
+    prefetch: list[str], layout: list[str], threads: int, workers: int | None, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Count the misses of every LRU cache in ranges of size, associativity and line, exactly, in one pass over each trace.
 
@@ -46,7 +47,7 @@ def sweep(
     configs = grid([parse_range(text) for text in size], [way for named in ways for way in named], line)
     paths, began = chosen_sources(sources, folder), time.perf_counter()
     with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
-        rows = swept(paths, configs, prefetch, layout, bar, threads=threads)
+        rows = swept(paths, configs, prefetch, layout, bar, threads=threads, workers=workers)
         if picture is not None:
             bar.phase("plot")
             draw_curves([row.to_dict() for row in rows], picture)
