@@ -113,7 +113,7 @@ def reason_against(configs: Sequence[CacheConfig], prefetch: Prefetch) -> str:
     """Return why the parts of a trace cannot be counted apart, as the end of a sentence; empty if they can."""
     if prefetch.trigger not in (NEVER, ALWAYS):
         return f"what {prefetch} requests depends on hits and misses, and so on all that went before"
-    if not prefetch.policy.begins_anew:
+    if not prefetch.policy.begins_anew and not prefetch.policy.needs_clock:  # no replay has a clock
         return f"what {prefetch} requests may depend on rays that went before"
     for config in configs:
         if config.policy != "lru":

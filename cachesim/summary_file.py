@@ -175,5 +175,5 @@ def _checksum(arrays: dict[str, np.ndarray]) -> str:
 
 
 def _damaged(path: Path, error: Exception) -> NptraceError:
-    reason = (str(error) or type(error).__name__).splitlines()[0]
+    reason = getattr(error, "strerror", None) or (str(error) or type(error).__name__).splitlines()[0]
     return NptraceError(f"{path} is no summary that can be read ({reason}); make it again with npcache summarise")

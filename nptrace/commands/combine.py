@@ -10,7 +10,7 @@ from nptrace.progress import done
 
 
 @click.command()
-@click.argument("summaries", metavar="SUMMARY...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("summaries", metavar="SUMMARY...", nargs=-1, type=click.Path(path_type=Path))
 @results_options("dinero")
 def combine(summaries: tuple[Path, ...], output: Output) -> None:
     """Join the files that npcache summarise wrote of all parts of a run, and print what npcache replay prints of the run.
