@@ -1,11 +1,12 @@
 """The kernel of a sweep: lines and access types in, for every number of sets a histogram of LRU depths out.
 
 For each number of sets, from few to many, each set keeps its lines newest first; the depth at which a line is found says which
-numbers of ways hit (``cachesim.sweep`` has the argument). Depths are compared 16 at a time.
+numbers of ways hit (``cachesim.sweep`` has the argument). Depths are compared 16 at a time. What is counted is a summary, as
+``cachesim.summary`` describes.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -13,48 +14,128 @@ from numba import types
 
 from cachesim.access import PREFETCH
 from cachesim.config import CacheConfig
-from nptrace_base.jit import instructions, kernel
+from nptrace_base.jit import inlined, instructions, kernel
 
 #: Lines compared at once: what AVX-512 holds in one register and AVX2 in two.
 LANES = 16
 NO_LINE = 0xFFFFFFFF
 
-ZERO, ONE = np.uint64(0), np.uint64(1)
+ZERO, ONE, NOTHING = np.uint64(0), np.uint64(1), np.uint64(NO_LINE)
 N_NEWEST, N_LANES = np.uint64(2), np.uint64(LANES)  # lines of a set that are kept together
 
 
-class SetCounts:
-    """Every LRU cache with the numbers of sets and ways of some configurations, for one stream of lines.
-
-    Number k of sets is 2^(first + k); its sets follow those of the number before.
+class Levels(NamedTuple):
+    """The sets of every number of sets, 2^first, 2^(first + 1) ...; the arrays are updated in place.
 
     Attributes
     ----------
-    counts : (n_set_counts, 2, depths) int64
+    newest, older, oldest : (n_sets * places,) uint32
+        The two newest lines of each set, the next ``LANES``, and those beyond, if there are so many ways; the sets of each
+        number follow those of the number before.
+    counts : (n_levels * 2 * n_depths,) int64
+        For each number of sets the demand accesses, then the prefetches, by depth from 1 on.
+    open_lines, open_types, open_levels : (n,) uint32, uint8, uint8
+        The open accesses, and the first level at which each is open.
+    n_open : (1,) int64
+    first, n_levels, n_depths, n_oldest : int
+        ``n_oldest``: the places of each set in ``oldest``.
+    """
+
+    newest: np.ndarray
+    older: np.ndarray
+    oldest: np.ndarray
+    counts: np.ndarray
+    open_lines: np.ndarray
+    open_types: np.ndarray
+    open_levels: np.ndarray
+    n_open: np.ndarray
+    first: int
+    n_levels: int
+    n_depths: int
+    n_oldest: int
+
+
+class SetCounts:
+    """Every LRU cache with the numbers of sets and ways of some configurations, for one stream: a part's summary.
+
+    Number k of sets is 2^(first + k).
+
+    Attributes
+    ----------
+    counts : (n_levels, 2, depths) int64
         Demand accesses and prefetches that found their line at depth 1, 2 ... of its set; the last: not at all. Those at
         depth 0, the newest line, are not counted: they hit everywhere.
     """
 
     def __init__(self, configs: Sequence[CacheConfig]) -> None:
+        self._configs = configs
         exponents = [config.n_sets.bit_length() - 1 for config in configs]
-        self._first, n_set_counts = min(exponents), max(exponents) - min(exponents) + 1
+        first, n_levels = min(exponents), max(exponents) - min(exponents) + 1
         n_deeper = max(-(-(max(config.ways for config in configs) - 2 - LANES) // LANES), 0)
-        n_sets = (1 << (self._first + n_set_counts)) - (1 << self._first)
-        self._newest = _aligned(2 * n_sets)  # the two newest lines of each set
-        self._older = _aligned(LANES * n_sets)  # the next ones
-        self._oldest = _aligned(LANES * n_deeper * n_sets)  # and those beyond, if there are so many ways
-        self.counts = np.zeros((n_set_counts, 2, 2 + LANES + LANES * n_deeper), np.int64)
+        n_sets, n_depths = (1 << (first + n_levels)) - (1 << first), 2 + LANES + LANES * n_deeper
+        n_open = (1 << (first + n_levels - 1)) * n_depths
+        self._levels = Levels(
+            newest=_aligned(2 * n_sets),
+            older=_aligned(LANES * n_sets),
+            oldest=_aligned(LANES * n_deeper * n_sets),
+            counts=np.zeros(n_levels * 2 * n_depths, np.int64),
+            open_lines=np.empty(n_open, np.uint32),
+            open_types=np.empty(n_open, np.uint8),
+            open_levels=np.empty(n_open, np.uint8),
+            n_open=np.zeros(1, np.int64),
+            first=first,
+            n_levels=n_levels,
+            n_depths=n_depths,
+            n_oldest=LANES * n_deeper,
+        )
+
+    @property
+    def counts(self) -> np.ndarray:
+        """The counts by level, kind of access and depth."""
+        levels = self._levels
+        return levels.counts.reshape(levels.n_levels, 2, levels.n_depths)
 
     def step(self, lines: np.ndarray, access_types: np.ndarray) -> None:
         """Take the next (line uint32, access type uint8) pairs."""
-        walk(lines, access_types, self._first, self.counts.shape[0], self._newest, self._older, self._oldest,
-             self.counts.reshape(-1), self.counts.shape[2])  # fmt: skip
+        walk(lines, access_types, self._levels)
 
     def misses(self, config: CacheConfig) -> tuple[int, int]:
         """Return the misses of demand accesses and of prefetches in one cache."""
-        k = config.n_sets.bit_length() - 1 - self._first
+        k = config.n_sets.bit_length() - 1 - self._levels.first
         demand, prefetch = self.counts[k, :, config.ways - 1 :].sum(axis=1)
         return int(demand), int(prefetch)
+
+    def then(self, later: "SetCounts") -> "SetCounts":
+        """Return the summary of this part and the one that follows; neither changes."""
+        whole, arrays = SetCounts(self._configs), later.arrays()
+        whole.load(self.arrays())
+        lines, types, levels = (arrays[f"open_{what}"] for what in ("lines", "types", "levels"))
+        walk_open(lines, types, levels, whole._levels)
+        whole.counts[:] += later.counts
+        opened = np.zeros((whole._levels.n_levels, 2), np.int64)
+        np.add.at(opened, (levels, (types >= PREFETCH).astype(np.intp)), 1)
+        whole.counts[:, :, -1] -= np.cumsum(opened, axis=0)
+        for name in PLACES:
+            mine, its = getattr(whole._levels, name), arrays[name]
+            np.copyto(mine, its, where=its != NO_LINE)
+        return whole
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return all that the summary is; equal summaries have equal arrays."""
+        n = int(self._levels.n_open[0])
+        whole = {name: getattr(self._levels, name) for name in (*PLACES, "counts")}
+        return whole | {name: getattr(self._levels, name)[:n] for name in OPENED}
+
+    def load(self, arrays: dict[str, np.ndarray]) -> None:
+        """Become the summary that has these arrays."""
+        n = self._levels.n_open[0] = arrays[OPENED[0]].size
+        for name in (*PLACES, "counts"):
+            getattr(self._levels, name)[:] = arrays[name]
+        for name in OPENED:
+            getattr(self._levels, name)[:n] = arrays[name]
+
+
+PLACES, OPENED = ("newest", "older", "oldest"), ("open_lines", "open_types", "open_levels")
 
 
 def _aligned(n: int) -> np.ndarray:
@@ -122,42 +203,60 @@ def put_first(typing_context, lines, at, line, carried):
     return signature, generate
 
 
-@kernel
-def walk(lines, access_types, first, n_set_counts, newest, older, oldest, counts, n_depths):
-    """Access each line at one number of sets after the other, from 2^first on, until it is the newest of its set.
+@inlined
+def _walk_from(line, access_type, level, levels):
+    """Access a line at one number of sets after the other, from a level on, until it is the newest of its set."""
+    newest, older, oldest, counts = levels.newest, levels.older, levels.oldest, levels.counts
+    n_depths, n_oldest = np.uint64(levels.n_depths), np.uint64(levels.n_oldest)
+    bins_of_both, not_found = n_depths + n_depths, n_depths - N_NEWEST
+    bins = (n_depths if access_type >= PREFETCH else ZERO) + level * bins_of_both
+    end = np.uint64(levels.n_levels) * bins_of_both
+    mask = (ONE << (np.uint64(levels.first) + level)) - ONE
+    first_set = mask + ONE - (ONE << np.uint64(levels.first))
+    is_noted = False
+    while bins < end:
+        s = first_set + (np.uint64(line) & mask)
+        first_line, second_line = N_NEWEST * s, N_NEWEST * s + ONE
+        carried = newest[first_line]
+        if carried == line:
+            break
+        second = newest[second_line]
+        newest[first_line], newest[second_line] = line, carried
+        # A branch, because half of what comes here is at depth 1; without it the walk took 1.15 times the time.
+        if second == line:
+            counts[bins] += 1
+        else:
+            depth, last = put_first(older, N_LANES * s, line, second)
+            if depth == N_LANES and n_oldest:
+                at = n_oldest * s
+                bound = at + n_oldest
+                while at < bound:
+                    lane, last = put_first(oldest, at, line, np.uint32(last))
+                    depth += lane
+                    if lane < N_LANES:
+                        break
+                    at += N_LANES
+            counts[bins + ONE + depth] += 1
+            if last == NOTHING and depth == not_found and not is_noted:
+                is_noted = True
+                k = levels.n_open[0]
+                levels.open_lines[k], levels.open_types[k] = line, access_type
+                levels.open_levels[k] = bins // bins_of_both
+                levels.n_open[0] = k + 1
+        first_set += mask + ONE
+        mask += mask + ONE
+        bins += bins_of_both
 
-    ``counts`` has ``n_depths`` bins for the demand accesses and as many for the prefetches of each number of sets.
-    """
-    n_depths, n_oldest = np.uint64(n_depths), np.uint64(2 * oldest.size // newest.size)
-    first_mask, bins_of_both = (ONE << np.uint64(first)) - ONE, n_depths + n_depths
+
+@kernel(_nrt=False)
+def walk(lines, access_types, levels):
+    """Access each line at every number of sets."""
     for i in range(lines.size):
-        line = lines[i]
-        bins = n_depths if access_types[i] >= PREFETCH else ZERO
-        end = bins + np.uint64(n_set_counts) * bins_of_both
-        first_set, mask = ZERO, first_mask
-        while bins < end:
-            s = first_set + (np.uint64(line) & mask)
-            first_line, second_line = N_NEWEST * s, N_NEWEST * s + ONE
-            carried = newest[first_line]
-            if carried == line:
-                break
-            second = newest[second_line]
-            newest[first_line], newest[second_line] = line, carried
-            # A branch, because half of what comes here is at depth 1; without it the walk took 1.15 times the time.
-            if second == line:
-                counts[bins] += 1
-            else:
-                depth, last = put_first(older, N_LANES * s, line, second)
-                if depth == N_LANES and n_oldest:
-                    at = n_oldest * s
-                    bound = at + n_oldest
-                    while at < bound:
-                        lane, last = put_first(oldest, at, line, np.uint32(last))
-                        depth += lane
-                        if lane < N_LANES:
-                            break
-                        at += N_LANES
-                counts[bins + ONE + depth] += 1
-            first_set += mask + ONE
-            mask += mask + ONE
-            bins += bins_of_both
+        _walk_from(lines[i], access_types[i], ZERO, levels)
+
+
+@kernel(_nrt=False)
+def walk_open(lines, access_types, from_levels, levels):
+    """Access each line at every number of sets from a level of its own on."""
+    for i in range(lines.size):
+        _walk_from(lines[i], access_types[i], np.uint64(from_levels[i]), levels)

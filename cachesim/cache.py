@@ -30,6 +30,9 @@ UNUSED = 2  # filled by a prefetch and not demanded since
 PUSHED_OUT = 4  # a prefetch evicted it, and nothing has filled it since
 SHADOWED = 8  # in the fully associative cache of the 3C classification
 TOUCHED = 16  # accessed at least once
+# What became of a fill by an open prefetch (``cachesim.summary``): neither of the two means that the line was demanded.
+PENDING = 32  # in the cache, and not demanded yet
+LOST = 64  # evicted before that
 
 _LATE = 1 << 62  # later than every access
 
@@ -42,6 +45,9 @@ class Cache(NamedTuple):
     facts: np.ndarray  # (n_ids,) uint8: the bits above
     counts: np.ndarray  # (5 * N_ACCESS_TYPES,) int64
     account: np.ndarray  # (3,) int64
+    first_ids: np.ndarray  # (n_ids,) uint32: every line accessed, in the order of first accesses
+    first_types: np.ndarray  # (n_ids,) uint8: the access types of those
+    n_first: np.ndarray  # (1,) int64
     mask: int  # of set_of
     three_c: bool
 
@@ -54,6 +60,9 @@ def make_cache(config: CacheConfig, n_ids: int, *, three_c: bool) -> Cache:
         facts=np.zeros(n_ids, np.uint8),
         counts=np.zeros(5 * N_ACCESS_TYPES, np.int64),
         account=np.zeros(3, np.int64),
+        first_ids=np.empty(n_ids, np.uint32),
+        first_types=np.empty(n_ids, np.uint8),
+        n_first=np.zeros(1, np.int64),
         mask=set_mask(config.n_sets),
         three_c=three_c,
     )
@@ -61,10 +70,12 @@ def make_cache(config: CacheConfig, n_ids: int, *, three_c: bool) -> Cache:
 
 def grow_cache(cache: Cache, n_ids: int) -> Cache:
     """Return the same cache with room for more line ids."""
-    facts = np.zeros(n_ids, np.uint8)
-    facts[: cache.facts.size] = cache.facts
+    facts, first_ids, first_types = np.zeros(n_ids, np.uint8), np.empty(n_ids, np.uint32), np.empty(n_ids, np.uint8)
+    n = cache.facts.size
+    facts[:n], first_ids[:n], first_types[:n] = cache.facts, cache.first_ids, cache.first_types
     shadow = grow_lists(cache.shadow, n_ids) if cache.three_c else cache.shadow
-    return cache._replace(lists=grow_lists(cache.lists, n_ids), shadow=shadow, facts=facts)
+    lists = grow_lists(cache.lists, n_ids)
+    return cache._replace(lists=lists, shadow=shadow, facts=facts, first_ids=first_ids, first_types=first_types)
 
 
 def n_resident_unused(cache: Cache) -> int:
@@ -73,30 +84,20 @@ def n_resident_unused(cache: Cache) -> int:
 
 
 @kernel(_nrt=False, forceinline=True)
-def access(cache, line, line_id, access_type):
-    """Access one line; return whether it missed, or was demanded for the first time since a prefetch filled it."""
-    facts, counts, account = cache.facts, cache.counts, cache.account
-    is_prefetch = (access_type & PREFETCH) != 0
-    fact = facts[line_id]
-    now = fact | TOUCHED
-    if cache.three_c:
-        if fact & SHADOWED:
-            refresh(cache.shadow, np.int64(0), line_id)
-        else:
-            left = insert(cache.shadow, np.int64(0), line_id)
-            if left >= 0:
-                facts[left] &= 255 - SHADOWED
-            now |= SHADOWED
-    s = set_of(line, cache.lists.n_sets, cache.mask)
-    if fact & RESIDENT:
-        refresh(cache.lists, s, line_id)
-        is_first_use = False
-        if not is_prefetch and fact & UNUSED:
-            account[USEFUL] += 1
-            now &= 255 - UNUSED
-            is_first_use = True
-        facts[line_id] = now
-        return is_first_use
+def shadow_access(cache, line_id, fact):
+    """Access a line in the fully associative cache, of which ``fact`` may say that it holds the line."""
+    if fact & SHADOWED:
+        refresh(cache.shadow, np.int64(0), line_id)
+    else:
+        left = insert(cache.shadow, np.int64(0), line_id)
+        if left >= 0:
+            cache.facts[left] &= 255 - SHADOWED
+
+
+@kernel(_nrt=False, forceinline=True)
+def count_miss(cache, line_id, fact, access_type):
+    """Count a miss of a line about which ``fact`` was known before."""
+    counts = cache.counts
     counts[MISSES * N_ACCESS_TYPES + access_type] += 1
     if cache.three_c:
         if fact & SHADOWED:
@@ -105,17 +106,50 @@ def access(cache, line, line_id, access_type):
             counts[CAPACITY * N_ACCESS_TYPES + access_type] += 1
         else:
             counts[COMPULSORY * N_ACCESS_TYPES + access_type] += 1
+    if not fact & TOUCHED:
+        n = cache.n_first[0]
+        cache.first_ids[n], cache.first_types[n] = line_id, access_type
+        cache.n_first[0] = n + 1
+    if fact & PUSHED_OUT and not access_type & PREFETCH:
+        cache.account[POLLUTION] += 1
+
+
+@kernel(_nrt=False, forceinline=True)
+def access(cache, line, line_id, access_type):
+    """Access one line; return whether it missed, or was demanded for the first time since a prefetch filled it."""
+    facts, account = cache.facts, cache.account
+    is_prefetch = (access_type & PREFETCH) != 0
+    fact = facts[line_id]
+    now = fact | TOUCHED
+    if cache.three_c:
+        shadow_access(cache, line_id, fact)
+        now |= SHADOWED
+    s = set_of(line, cache.lists.n_sets, cache.mask)
+    if fact & RESIDENT:
+        refresh(cache.lists, s, line_id)
+        is_first_use = False
+        if not is_prefetch and fact & UNUSED:
+            account[USEFUL] += 1
+            now &= 255 - UNUSED - PENDING
+            is_first_use = True
+        facts[line_id] = now
+        return is_first_use
+    count_miss(cache, line_id, fact, access_type)
+    now = (now & (255 - PUSHED_OUT)) | RESIDENT
+    if is_prefetch:
+        now |= UNUSED
     victim = insert(cache.lists, s, line_id)
     if victim >= 0:
         lost = facts[victim]
         if lost & UNUSED:
             account[USELESS] += 1
+            if lost & PENDING:
+                lost ^= PENDING | LOST
         lost &= 255 - RESIDENT - UNUSED
         facts[victim] = lost | PUSHED_OUT if is_prefetch else lost
-    if not is_prefetch and fact & PUSHED_OUT:
-        account[POLLUTION] += 1
-    now = (now & (255 - PUSHED_OUT)) | RESIDENT
-    facts[line_id] = now | UNUSED if is_prefetch else now
+    elif is_prefetch:
+        now |= PENDING
+    facts[line_id] = now
     return True
 
 

@@ -85,6 +85,38 @@ def grow_lists(lists: Lists, n_ids: int) -> Lists:
     return lists._replace(links=links, due=due)
 
 
+def order_of(lists: Lists) -> np.ndarray:
+    """Return the line ids in the rings, (n_sets * ways,) int32: newest first in each set, -1 for an empty way."""
+    order = np.full(lists.n_sets * lists.ways, -1, np.int32)
+    read_rings(lists, order)
+    return order
+
+
+@kernel(_nrt=False)
+def read_rings(lists, order):
+    """Write the line ids of every ring, newest first, into its set's places."""
+    for s in range(lists.n_sets):
+        node, at = lists.links[2 * s], s * lists.ways
+        while node != s:
+            order[at] = node - lists.n_sets
+            at += 1
+            node = lists.links[2 * node]
+
+
+@kernel(_nrt=False)
+def write_rings(order, lists):
+    """Make the rings whose ``order_of`` is given."""
+    links = lists.links
+    for s in range(lists.n_sets):
+        links[2 * s] = links[2 * s + 1] = s
+        lists.held[s] = 0
+        for way in range(lists.ways - 1, -1, -1):
+            line_id = order[s * lists.ways + way]
+            if line_id >= 0:
+                _push_front(links, 2 * s, 2 * (lists.n_sets + line_id))
+                lists.held[s] += 1
+
+
 @kernel(_nrt=False, forceinline=True)
 def split_mix(state):
     """Return the next 64 random bits (SplitMix64, Steele, Lea and Flood 2014)."""

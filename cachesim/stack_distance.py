@@ -53,10 +53,12 @@ class Slots(NamedTuple):
     in_group: np.ndarray  # (n_words,) uint16
     to_group: np.ndarray  # (n_groups,) uint32
     state: np.ndarray  # (3,) int64
+    first_ids: np.ndarray  # (n_ids,) uint32: every line accessed, in the order of first accesses
+    first_types: np.ndarray  # (n_ids,) uint8: the access types of those
 
 
 class StackDistances:
-    """The stack distances of one stream, batch by batch.
+    """The stack distances of one stream, batch by batch: a summary, as ``cachesim.summary`` describes.
 
     Attributes
     ----------
@@ -76,30 +78,71 @@ class StackDistances:
         renumber(self._slots)
         counts, of_line = np.zeros((n_ids + 1, 2), np.int64), np.zeros(n_ids, np.uint32)
         counts[: len(self.counts)], of_line[: self._slots.of_line.size] = self.counts, self._slots.of_line
-        self.counts = counts
-        self._slots = _slots(of_line, n_slots, self._slots.state)
+        self.counts, before = counts, self._slots
+        self._slots, n = _slots(of_line, n_slots, before.state), before.first_ids.size
+        self._slots.first_ids[:n], self._slots.first_types[:n] = before.first_ids, before.first_types
         pack(self._slots)
 
     def step(self, ids: np.ndarray, access_types: np.ndarray, n_ids: int) -> None:
         """Take the next (id uint32, access type uint8) pairs; ids are dense and below ``n_ids``."""
         if n_ids > self._slots.of_line.size:
             self._make_room(max(n_ids, 2 * self._slots.of_line.size, 1024))
-        done = count_distances(ids, access_types, 0, self._slots, self.counts.reshape(-1))
+        self._count(ids, access_types, self.counts)
+
+    def _count(self, ids: np.ndarray, access_types: np.ndarray, counts: np.ndarray) -> None:
+        done = count_distances(ids, access_types, 0, self._slots, counts.reshape(-1))
         while done < ids.size:
             renumber(self._slots)
             pack(self._slots)
-            done = count_distances(ids, access_types, done, self._slots, self.counts.reshape(-1))
+            done = count_distances(ids, access_types, done, self._slots, counts.reshape(-1))
 
     def misses(self, n_lines: int) -> tuple[int, int]:
         """Return the misses of demand accesses and of prefetches in the fully associative LRU cache of ``n_lines`` lines."""
         demand, prefetch = self.counts[0] + self.counts[n_lines + 1 :].sum(axis=0)
         return int(demand), int(prefetch)
 
+    def then(self, later: "StackDistances") -> "StackDistances":
+        """Return the summary of this part and the one that follows, whose ids are the same lines'; neither changes."""
+        whole, arrays = StackDistances(), later.arrays()
+        whole.load(self.arrays())
+        whole.step(arrays["first_ids"], arrays["first_types"], later._slots.of_line.size)
+        n_demand = int(np.count_nonzero(arrays["first_types"] < PREFETCH))
+        whole.counts[: len(arrays["counts"])] += arrays["counts"]
+        whole.counts[0] -= n_demand, arrays["first_types"].size - n_demand
+        whole._use(arrays["order"])
+        return whole
+
+    def _use(self, ids: np.ndarray) -> None:
+        """Access lines without counting."""
+        self._count(ids, np.zeros(ids.size, np.uint8), np.zeros_like(self.counts))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return all that the summary is; equal summaries have equal arrays. ``order``: the ids by last access."""
+        slots, n = self._slots, int(self._slots.state[LIVE])
+        used = np.flatnonzero(slots.of_line)
+        return {
+            "counts": self.counts[: 1 + int(np.flatnonzero(self.counts.any(axis=1)).max(initial=-1))],
+            "order": used[np.argsort(slots.of_line[used])].astype(np.uint32),
+            "first_ids": slots.first_ids[:n], "first_types": slots.first_types[:n],
+            "n_ids": np.array([slots.of_line.size]),
+        }  # fmt: skip
+
+    def load(self, arrays: dict[str, np.ndarray]) -> None:
+        """Become the summary that has these arrays; this one is new."""
+        n_ids, n = int(arrays["n_ids"][0]), arrays["first_ids"].size
+        if n_ids == 0:
+            return
+        self._make_room(n_ids)
+        self._use(arrays["order"])
+        self._slots.first_ids[:n], self._slots.first_types[:n] = arrays["first_ids"], arrays["first_types"]
+        self.counts[: len(arrays["counts"])] = arrays["counts"]
+
 
 def _slots(of_line: np.ndarray, n_slots: int, state: np.ndarray) -> Slots:
     n_words, n_groups = n_slots // _WORD_SLOTS, n_slots // _GROUP_SLOTS
     live, in_group = np.zeros(n_words + _NEAR, np.uint64), np.zeros(n_words, np.uint16)
-    return Slots(of_line, live, in_group, np.zeros(n_groups, np.uint32), state)
+    first_ids, first_types = np.empty(of_line.size, np.uint32), np.empty(of_line.size, np.uint8)
+    return Slots(of_line, live, in_group, np.zeros(n_groups, np.uint32), state, first_ids, first_types)
 
 
 def stack_distances(
@@ -178,7 +221,7 @@ def count_distances(ids, access_types, start, slots, counts):
     The sums hold for the words that are at least ``NEAR`` before the current one. The current word is kept in a register and
     is 0 in ``live``: a write and a read of the same word for every access took 1.2 times the time.
     """
-    slot_of, live, in_group, to_group, state = slots
+    slot_of, live, in_group, to_group, state, first_ids, first_types = slots
     slot, n_live, last_id = np.uint64(state[NEXT]), np.uint64(state[LIVE]), state[LAST_ID]
     n_slots = np.uint64(in_group.size) << SHIFT
     here = word_of_newest(slot)
@@ -200,6 +243,7 @@ def count_distances(ids, access_types, start, slots, counts):
         old = np.uint64(slot_of[line_id])
         distance = ZERO
         if old == ZERO:
+            first_ids[n_live], first_types[n_live] = line_id, access_types[i - 1]
             n_live += ONE
         else:
             old -= ONE
@@ -247,7 +291,7 @@ def remove(word, last, in_group, to_group):
 @kernel(_nrt=False)
 def renumber(slots):
     """Number the live slots 0, 1, 2 ... in order of time."""
-    slot_of, live, in_group, to_group, state = slots
+    slot_of, live, in_group, to_group, state = slots[:5]
     here = word_of_newest(np.uint64(state[NEXT]))
     for word in range(here - NEAR + ONE if here >= NEAR else ZERO, here + ONE):
         enter_sums(word, live, in_group, to_group)
@@ -262,7 +306,7 @@ def renumber(slots):
 @kernel(_nrt=False)
 def pack(slots):
     """Set the bits and sums of slots that are all live, as many as there are lines."""
-    _, live, in_group, to_group, state = slots
+    _, live, in_group, to_group, state = slots[:5]
     n = np.uint64(state[LIVE])
     full = n >> SHIFT
     for word in range(np.uint64(live.size)):

@@ -12,9 +12,7 @@ accesses and prefetches apart (B of the paper), and a second over the demand acc
 and random replacement, which have no such order, nor for prefetchers that react to hits and misses: both are refused.
 """
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,12 +23,14 @@ from cachesim.access import PREFETCH
 from cachesim.all_associativity import SetCounts
 from cachesim.config import CacheConfig
 from cachesim.layout import Layout
+from cachesim.parts import count
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.result import ratio
 from cachesim.source import Source, as_source, demand_only
 from cachesim.stack_distance import StackDistances, check_one_pass
+from cachesim.summary import About, Step, of_prefix, prefixed
+from nptrace_base.engines import Engine
 from nptrace_base.errors import NptraceError
-from nptrace_base.pools import thread_pool
 from traces.identity import RunIdentity
 from traces.reader import Run
 
@@ -88,6 +88,7 @@ def sweep(
     prefetch: Prefetch | str = "traced",
     layout: Layout | str = "stored",
     threads: int | None = None,
+    engine: Engine | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[SweepRow]:
     """Count the misses of every cache, exactly, in one pass per line size; return one row each, in the order of ``configs``.
@@ -101,33 +102,19 @@ def sweep(
     prefetch : Prefetch or str
         Any policy whose requests do not depend on the cache.
     threads : int, optional
-        Passes run at a time, of which each line size has two, with prefetches and without; as many as there are cores when
-        None. The counts do not depend on it.
+        The number of threads, each for a part of a long run, or for one of the passes, of which each line size has two, with
+        prefetches and without; by default, the number of cores. The counts do not depend on it.
+    engine : Engine, optional
+        Workers (``nptrace_base.engines``), each for parts of a run.
     progress : callable, optional
         Called with the number of events done after each batch.
     """
-    prefetch = parse_prefetch(prefetch) if isinstance(prefetch, str) else prefetch
-    check_one_pass(prefetch)
+    asked = Sweep(tuple(configs), str(prefetch))
+    check_one_pass(asked.policy)
     for config in configs:
         check(config)
     source = as_source(source, layout)
-    by_line: dict[int, list[CacheConfig]] = {}
-    for config in configs:
-        by_line.setdefault(config.line_bytes, []).append(config)
-    groups = {line_bytes: _Group(source, line_bytes, members, prefetch) for line_bytes, members in by_line.items()}
-    running: list[Future[None]] = []
-    with thread_pool(threads or os.cpu_count() or 1) as pool:
-        for events, access_types in source.events(prefetch):
-            # The next batch is decoded and looked up while the passes over the last one run.
-            steps = [step for group in groups.values() for step in group.steps(events, access_types)]
-            for step in running:
-                step.result()
-            running = [pool.submit(*step) for step in steps]
-            if progress is not None:
-                progress(access_types.size)
-        for step in running:
-            step.result()
-    return [groups[config.line_bytes].row(source, config, prefetch) for config in configs]
+    return asked.finished(count(source, asked, threads=threads, engine=engine, progress=progress), About.of(source))
 
 
 def check(config: CacheConfig) -> None:
@@ -148,31 +135,40 @@ def check(config: CacheConfig) -> None:
 class _Group:
     """All caches of one line size: they share the line numbers of a batch."""
 
-    def __init__(self, source: Source, line_bytes: int, configs: Sequence[CacheConfig], prefetch: Prefetch) -> None:
-        self._lines = source.lines(line_bytes, 0)
+    def __init__(self, asked: "Sweep", line_bytes: int, source: Source | None) -> None:
+        self._asked = asked, line_bytes
+        configs = [config for config in asked.configs if config.line_bytes == line_bytes]
+        self._lines = source.lines(line_bytes, 0) if source else None
         self._needs_ids = any(config.n_sets == 1 for config in configs)
-        self._streams = [_Stream(configs) for _ in range(1 if prefetch.kind == "none" else 2)]
+        self.streams = [_Stream(configs) for _ in range(1 if asked.policy.kind == "none" else 2)]
 
-    def steps(self, events: Any, access_types: np.ndarray) -> list[tuple[Any, ...]]:
+    def steps(self, events: Any, access_types: np.ndarray) -> list[Step]:
         """Take a batch of events; return the calls that count it, which may run at the same time."""
+        assert self._lines is not None
         lines, access_types = self._lines.accesses(events, access_types)
         ids = self._lines.ids(lines) if self._needs_ids else lines
-        steps = self._streams[0].steps(lines, ids, access_types, self._lines.n_ids)
-        for demand in self._streams[1:]:
+        steps = self.streams[0].steps(lines, ids, access_types, self._lines.n_ids)
+        for demand in self.streams[1:]:
             own, own_types = demand_only(lines, access_types)
             own_ids = own if ids is lines else demand_only(ids, access_types)[0]
             steps += demand.steps(own, own_ids, own_types, self._lines.n_ids)
         return steps
 
-    def row(self, source: Source, config: CacheConfig, prefetch: Prefetch) -> SweepRow:
+    def then(self, later: "_Group") -> "_Group":
+        """Return the group over both parts, which takes no more events."""
+        whole = _Group(*self._asked, None)
+        whole.streams = [mine.then(its) for mine, its in zip(self.streams, later.streams, strict=True)]
+        return whole
+
+    def row(self, config: CacheConfig, prefetch: Prefetch, about: About) -> SweepRow:
         """Return what was counted for one cache."""
-        everything, demand = self._streams[0], self._streams[-1]
+        everything, demand = self.streams[0], self.streams[-1]
         demand_misses, prefetch_misses = everything.misses(config)
         return SweepRow(
-            identity=source.identity,
+            identity=about.identity,
             config=config,
             prefetch=str(prefetch),
-            layout=str(source.layout),
+            layout=about.layout,
             demand_accesses=everything.n_demand,
             demand_misses=demand_misses,
             prefetch_accesses=everything.n_prefetches,
@@ -185,17 +181,18 @@ class _Stream:
     """One stream of accesses, with prefetches or without, and what counts it: one set apart from several."""
 
     def __init__(self, configs: Sequence[CacheConfig]) -> None:
+        self._configs = configs
         several = [config for config in configs if config.n_sets > 1]
         self._set_counts = SetCounts(several) if several else None
         self._distances = StackDistances() if len(several) < len(configs) else None
         self.n_demand = self.n_prefetches = 0
 
-    def steps(self, lines: np.ndarray, ids: np.ndarray, access_types: np.ndarray, n_ids: int) -> list[tuple[Any, ...]]:
+    def steps(self, lines: np.ndarray, ids: np.ndarray, access_types: np.ndarray, n_ids: int) -> list[Step]:
         """Return the calls that count a batch."""
         n_prefetches = int(np.count_nonzero(access_types >= PREFETCH))
         self.n_prefetches += n_prefetches
         self.n_demand += access_types.size - n_prefetches
-        steps: list[tuple[Any, ...]] = []
+        steps: list[Step] = []
         if self._set_counts is not None:
             steps.append((self._set_counts.step, lines, access_types))
         if self._distances is not None:
@@ -208,3 +205,79 @@ class _Stream:
             return self._distances.misses(config.ways)
         assert self._set_counts is not None
         return self._set_counts.misses(config)
+
+    def then(self, later: "_Stream") -> "_Stream":
+        """Return the stream over both parts."""
+        whole = _Stream(self._configs)
+        whole.n_demand, whole.n_prefetches = self.n_demand + later.n_demand, self.n_prefetches + later.n_prefetches
+        if self._set_counts is not None and later._set_counts is not None:
+            whole._set_counts = self._set_counts.then(later._set_counts)
+        if self._distances is not None and later._distances is not None:
+            whole._distances = self._distances.then(later._distances)
+        return whole
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return what was counted."""
+        arrays = {"n": np.array([self.n_demand, self.n_prefetches])}
+        for name, each in self._counting():
+            arrays |= prefixed(name, each.arrays())
+        return arrays
+
+    def load(self, arrays: dict[str, np.ndarray]) -> None:
+        """Become the stream that counted this."""
+        self.n_demand, self.n_prefetches = map(int, arrays["n"])
+        for name, each in self._counting():
+            each.load(of_prefix(name, arrays))
+
+    def _counting(self) -> "list[tuple[str, SetCounts | StackDistances]]":
+        named = (("sets", self._set_counts), ("distances", self._distances))
+        return [(name, each) for name, each in named if each is not None]
+
+
+class _Lines:
+    """All line sizes of a sweep over a part of a trace: the summary (``cachesim.summary``)."""
+
+    def __init__(self, groups: dict[int, _Group]) -> None:
+        self.groups = groups
+
+    def steps(self, events: Any, access_types: np.ndarray) -> list[Step]:
+        """Take a batch of events; return the calls that count it, which may run at the same time."""
+        return [step for group in self.groups.values() for step in group.steps(events, access_types)]
+
+    def then(self, later: "_Lines") -> "_Lines":
+        """Return the summary of this part and the one that follows; neither changes."""
+        return _Lines({line: group.then(later.groups[line]) for line, group in self.groups.items()})
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return all that the summary is; equal summaries have equal arrays."""
+        return {name: array for prefix, each in self._streams() for name, array in prefixed(prefix, each.arrays()).items()}
+
+    def load(self, arrays: dict[str, np.ndarray]) -> None:
+        """Become the summary that has these arrays."""
+        for prefix, each in self._streams():
+            each.load(of_prefix(prefix, arrays))
+
+    def _streams(self) -> list[tuple[str, _Stream]]:
+        return [(f"{line}.{i}", each) for line, group in self.groups.items() for i, each in enumerate(group.streams)]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a sweep asks of a trace, without the trace: ``configs`` and ``prefetch`` as for ``sweep``."""
+
+    configs: tuple[CacheConfig, ...]
+    prefetch: str = "traced"
+
+    @property
+    def policy(self) -> Prefetch:
+        """The prefetch policy."""
+        return parse_prefetch(self.prefetch)
+
+    def begin(self, source: Source | None) -> _Lines:
+        """Return the summary of no access, for the events of a source; None: for ``then`` and ``load`` alone."""
+        sizes = dict.fromkeys(config.line_bytes for config in self.configs)
+        return _Lines({line_bytes: _Group(self, line_bytes, source) for line_bytes in sizes})
+
+    def finished(self, lines: _Lines, about: About) -> list[SweepRow]:
+        """Return the rows, in the order of ``configs``."""
+        return [lines.groups[config.line_bytes].row(config, self.policy, about) for config in self.configs]

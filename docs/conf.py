@@ -25,7 +25,7 @@ templates_path = ["templates"]
 
 #: The site's menu. A page that is in none of its lists makes the build fail.
 MENU = {
-    "Begin": ["docs/first-steps", "docs/your-scene", "docs/reading-a-run", "docs/storage", "docs/python"],
+    "Begin": ["docs/first-steps", "docs/your-scene", "docs/reading-a-run", "docs/storage", "docs/scale", "docs/python"],
     "Look up": ["docs/metrics", "docs/model", "docs/commands", "docs/api", "traces/README", "docs/glossary"],
     "Results": ["docs/table1", "docs/does-it-pay", "docs/speed-error", "docs/performance"],
     "Trust": ["docs/correctness", "docs/limits"],

@@ -12,6 +12,7 @@ from nptrace.plans import Given, MachineOptions, estimate_plan, listed, machines
 from nptrace.progress import Progress
 from nptrace.results import Results
 from nptrace.studies import Where
+from nptrace_base.engines import engine_of
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote, place
 from traces.reader import Run, open_run
@@ -108,7 +109,6 @@ def render(
     """
     from nptrace.scene_options import check_run_names, load_scenes, own_rays, parse_tree, tree_params
     from nptrace.studies import rendered
-    from nptrace_base.engines import engine_of
     from rtrace.camera import ORDERS, parse_size
     from rtrace.ray_file import RayFile
     from rtrace.render import Shooting
@@ -144,7 +144,8 @@ def open(path: Place | str) -> Run:
 def replay(
     sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", reads: str = "own",
-    flush: str = "never", three_c: bool = False, by: str | None = None, threads: int | None = None,
+    flush: str = "never", three_c: bool = False, by: str | None = None, workers: "int | Executor" = 0,
+    scheduler: str | None = None, threads: int | None = None,
 ) -> Results:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of caches, exactly, as ``npcache replay`` does.
 
@@ -169,6 +170,10 @@ def replay(
         ``"pixel"``, ``"level"``, ``"node"`` or ``"ray-type"``: return where the counts fall, a row for each.
     threads : int, optional
         By default, the number of processors; the results do not depend on it.
+    workers : int or concurrent.futures.Executor
+        Processes to use instead of threads, or what runs calls elsewhere, each for parts of a run; 0 for none.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers are used.
 
     Raises
     ------
@@ -184,15 +189,15 @@ def replay(
     for name, value, known in (("by", by, (None, *BY)), ("reads", reads, READS), ("flush", flush, FLUSHES)):
         if value not in known:
             raise NptraceError(f"{name}: {value!r} is not one of {', '.join(filter(None, known))}")
-    check_whole(by, reads, flush)
+    check_whole(by, reads, flush, has_workers=bool(workers or scheduler))
     configs, policies, layouts = replay_plan(size, ways, line, policy, seed, prefetch, layout)
     chosen = _chosen(sources, traces)
-    with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
+    with engine_of(workers, scheduler) as engine, Progress(len(chosen) * len(layouts) * len(policies)) as bar:
         if by is not None:
             grouped = replayed_by(chosen, configs, policies, layouts, by, bar, three_c=three_c, threads=threads)
             return Results("replay", GroupedRecords(grouped), lambda: group_tables.tables(grouped))
         results = replayed(
-            chosen, configs, policies, layouts, bar, reads=reads, flush=flush, three_c=three_c, threads=threads
+            chosen, configs, policies, layouts, bar, reads=reads, flush=flush, three_c=three_c, threads=threads, engine=engine
         )  # fmt: skip
     return Results("replay", [each.to_dict() for each in results], lambda: replay_tables.tables(results))
 
@@ -200,6 +205,7 @@ def replay(
 def sweep(
     sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "4K..64K", ways: Given = "1",
     line: Given = "32", prefetch: Given = "traced", layout: Given = "stored", threads: int | None = None,
+    workers: "int | Executor" = 0, scheduler: str | None = None,
 ) -> Results:  # fmt: skip
     """Count the misses of every LRU cache in ranges, in one pass over each trace, as ``npcache sweep`` does.
 
@@ -211,8 +217,8 @@ def sweep(
 
     configs, policies, layouts = sweep_plan(size, ways, line, prefetch, layout)
     chosen = _chosen(sources, traces)
-    with Progress(len(chosen) * len(layouts) * len(policies)) as bar:
-        rows = swept(chosen, configs, policies, layouts, bar, threads=threads)
+    with engine_of(workers, scheduler) as engine, Progress(len(chosen) * len(layouts) * len(policies)) as bar:
+        rows = swept(chosen, configs, policies, layouts, bar, threads=threads, engine=engine)
     return Results("sweep", [row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
 
 

@@ -121,3 +121,16 @@ def threads_option() -> Any:
         "--threads", type=click.IntRange(1), default=os.cpu_count() or 1, show_default="all processors",
         help="Threads to use; the results do not depend on it.",
     )  # fmt: skip
+
+
+def workers_options(command: Any) -> Any:
+    """Add the options for processes, and for the workers of a cluster."""
+    scheduler = click.option(
+        "--scheduler", metavar="ADDRESS",
+        help="Use the workers of a Dask cluster, which must find the same files under the same paths.",
+    )  # fmt: skip
+    workers = click.option(
+        "--workers", type=click.IntRange(0), default=0, metavar="N",
+        help="Use N processes instead of threads, each for parts of a run; the results are the same.",
+    )  # fmt: skip
+    return workers(scheduler(command))

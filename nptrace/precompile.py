@@ -21,12 +21,13 @@ from cachesim.clock.stretches import Stretches
 from cachesim.clock.timing import Workshop, time_run
 from cachesim.config import CacheConfig
 from cachesim.layout import addresses, parse_layout
+from cachesim.parts import cut, pass_through
 from cachesim.prefetch import Prefetch, parse_prefetch
-from cachesim.replay import replay
+from cachesim.replay import Replay, replay
 from cachesim.sampling.estimate import estimate
 from cachesim.sampling.target import Target
 from cachesim.source import RunSource
-from cachesim.sweep import sweep
+from cachesim.sweep import Sweep, sweep
 from nptrace_base import compiling
 from rtrace.checks.embree import compare
 from rtrace.ray_source import RayUnits
@@ -158,6 +159,13 @@ def building_and_sweeping() -> None:
             job = workshop.job(CacheConfig(512, 2, 32), clock, prefetch)
             assert job is not None
             workshop.run_all([job], Stretches(RunSource(run, parse_layout("stored"))))
+        _join(run, Sweep((CacheConfig(512, 2, 16), CacheConfig(512, 32, 16))))
+
+
+def _join(run: Run, question: Replay | Sweep) -> None:
+    """Count the halves of a run and join them."""
+    first, second = (pass_through(part, question) for part in cut(RunSource(run), 2))
+    first.then(second)
 
 
 def _timed(*, of_the_stack: bool) -> list[Prefetch]:
@@ -204,6 +212,8 @@ def tracing_and_replaying() -> None:
             cycles_by_pixel(RunSource(run), CacheConfig(512, 2, 16), PRESETS["paper"].clock)
             time_run(run, [CacheConfig(512, 2, 16)], [PRESETS["paper"].clock], _timed(of_the_stack=True), threads=1)
             sweep(run, [CacheConfig(64 * 16, 32, 16)], prefetch="stack", threads=1)
+            for three_c in (False, True):
+                _join(run, Replay(tuple(config for config in plain if config.policy == "lru"), three_c=three_c))
             for form in ("text", "binary"):
                 export_din(run, path.with_suffix(".din"), fmt=form)
                 replay(path.with_suffix(".din"), plain + two_lines, threads=1)

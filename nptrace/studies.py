@@ -71,6 +71,7 @@ def rendered(
 def replayed(
     sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
     bar: Progress, *, reads: str = "own", flush: str = "never", three_c: bool = False, threads: int | None = None,
+    engine: "Engine | None" = None,
 ) -> "list[Result]":  # fmt: skip
     """Replay every source under every layout and prefetch policy through every cache, the caches fastest."""
     from cachesim.flush import FlushedSource, emptied
@@ -88,19 +89,51 @@ def replayed(
         for policy in policies:
             bar.job(source.identity.run)
             advance = bar.phase(f"replay, prefetch {policy}", source.n_events)
-            found = replay(source, configs, prefetch=policy, three_c=three_c, threads=threads, progress=advance)
+            found = replay(
+                source, configs, prefetch=policy, three_c=three_c, threads=threads, engine=engine, progress=advance
+            )  # fmt: skip
             for result in found:
                 result.reads, result.flush = reads, flush
             results += emptied(found) if flush == "ray" else found
     return results
 
 
-def check_whole(by: str | None, reads: str, flush: str) -> None:
-    """Raise NptraceError if parts of counts are asked for with options that only whole caches know."""
+def check_whole(by: str | None, reads: str, flush: str, *, has_workers: bool = False) -> None:
+    """Raise NptraceError for options that only the replay of a whole trace knows, or one by one counter."""
     from nptrace_base.errors import NptraceError
 
     if by is not None and (reads, flush) != ("own", "never"):
         raise NptraceError(f"reads {reads} and flush {flush} are for the counts of whole caches, not by {by}; leave by out")
+    if has_workers and by is not None:
+        raise NptraceError(f"by: counts by {by} are not made by workers; leave by or workers out")
+    if has_workers and (reads, flush) != ("own", "never"):
+        raise NptraceError(f"reads {reads} and flush {flush} are for one process; leave them or workers out")
+
+
+def summarised(
+    run: Run, configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str], part: tuple[int, int],
+    out: Path, bar: Progress, *, three_c: bool = False, threads: int | None = None,
+) -> tuple[int, int]:  # fmt: skip
+    """Replay part i of n of a run as ``replayed`` does, and write its summary; return its accesses and the file's bytes."""
+    from cachesim.parts import Part, pass_through
+    from cachesim.replay import Replay
+    from cachesim.source import RunSource
+    from cachesim.summary import check_parts
+    from cachesim.summary_file import Asked, write_part
+
+    asked, summaries, source = [], [], None
+    for layout in parsed(layouts):
+        whole = RunSource(run, layout)
+        source = Part(whole, *part, {})
+        for prefetch in prefetches:
+            question = Replay(tuple(configs), prefetch, three_c)
+            check_parts(question.configs, question.policy)
+            bar.job(f"part {part[0]} of {part[1]}")
+            advance = bar.phase(f"replay, prefetch {prefetch}", source.n_events)
+            asked.append(Asked(str(layout), question))
+            summaries.append(pass_through(source, question, threads or os.cpu_count() or 1, advance))
+    assert source is not None
+    return source.run.n_accesses, write_part(out, source.run, asked, summaries)
 
 
 def replayed_by(
@@ -128,7 +161,7 @@ def replayed_by(
 
 def swept(
     sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
-    bar: Progress, *, threads: int | None = None,
+    bar: Progress, *, threads: int | None = None, engine: "Engine | None" = None,
 ) -> "list[SweepRow]":  # fmt: skip
     """Count the misses of every LRU cache, in the order of ``replayed``."""
     from cachesim.sweep import sweep
@@ -139,7 +172,7 @@ def swept(
         for policy in prefetches:
             bar.job(source.identity.run)
             advance = bar.phase(f"sweep, prefetch {policy}", source.n_events)
-            rows += sweep(source, configs, prefetch=policy, threads=threads, progress=advance)
+            rows += sweep(source, configs, prefetch=policy, threads=threads, engine=engine, progress=advance)
     return rows
 
 

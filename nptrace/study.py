@@ -36,7 +36,7 @@ TOP = {"out": "traces"}
 #: The options of packets and of shadow rays, in the order of ``Shooting``.
 KNOBS = "packet", "shadow", "shadow_order", "shadow_end"
 #: The tables of stage 2, and the keys of their functions that a study has no use for.
-SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), ("sources", "traces", "threads", "by", "numbers")
+SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), ("sources", "traces", "threads", "workers", "by", "numbers")
 
 
 @dataclass(frozen=True)

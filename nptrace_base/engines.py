@@ -38,12 +38,15 @@ class Engine:
         What a message calls a worker that is lost.
     lost : tuple of exception types
         What the executor raises then.
+    n_workers : int
+        How many there are, 0 if that is not known.
     """
 
     def __init__(
-        self, start: Callable[[], Executor], what: str, *, can_restart: bool, lost: tuple[type[BaseException], ...] = ()
-    ) -> None:
-        self._start, self._what, self._can_restart = start, what, can_restart
+        self, start: Callable[[], Executor], what: str, *, can_restart: bool, lost: tuple[type[BaseException], ...] = (),
+        n_workers: int = 0,
+    ) -> None:  # fmt: skip
+        self._start, self._what, self._can_restart, self.n_workers = start, what, can_restart, n_workers
         self._lost: tuple[type[BaseException], ...] = (BrokenExecutor, *lost)
 
     def results(self, function: Callable[..., _T], tasks: Sequence[tuple]) -> Iterator[tuple[int, _T]]:
@@ -99,7 +102,7 @@ def processes(n: int) -> Engine:
         raise NptraceError(f"workers must be at least 1, got {n}; leave it out to work in this process")
     # Not forked: Numba's and Arrow's threads do not survive it.
     context = multiprocessing.get_context("spawn")
-    return Engine(lambda: ProcessPoolExecutor(n, context, _begin_worker), "a worker process", can_restart=True)
+    return Engine(lambda: ProcessPoolExecutor(n, context, _begin_worker), "a worker process", can_restart=True, n_workers=n)
 
 
 def _begin_worker() -> None:

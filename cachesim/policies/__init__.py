@@ -63,6 +63,8 @@ class Policy:
         The options' values -> the options as they are printed; None: as they were written.
     is_perfect : bool
         Every demand read hits: no policy, but the bound of all.
+    begins_anew : bool
+        Its unit keeps nothing from one ray to the next, so that the parts of a run can be replayed apart.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Policy:
     watches_leaves: bool = False
     shown: Callable[[dict[str, Any]], Sequence[str]] | None = None
     is_perfect: bool = False
+    begins_anew: bool = False
 
     def show(self, values: dict[str, Any], options: Sequence[str]) -> Sequence[str]:
         """Return the options as they are printed."""

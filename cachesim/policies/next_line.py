@@ -85,4 +85,4 @@ def make_unit(machine: Machine, facts: Facts, *, trigger: int, distance: int) ->
     return NextLine(np.full(machine.sp.size, -1, np.int64), trigger, distance)
 
 
-POLICY = Policy("next-line", FORM, parse, make_unit, shown=shown)
+POLICY = Policy("next-line", FORM, parse, make_unit, shown=shown, begins_anew=True)

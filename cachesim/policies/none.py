@@ -20,4 +20,4 @@ def make_unit(machine: Machine, facts: Facts) -> Idle:
     return Idle(0)
 
 
-POLICY = Policy("none", FORM, no_options, make_unit)
+POLICY = Policy("none", FORM, no_options, make_unit, begins_anew=True)

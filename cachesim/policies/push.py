@@ -59,4 +59,4 @@ def make_unit(machine: Machine, facts: Facts) -> Push:
     return Push(np.full(machine.sp.size, -1, np.int64))
 
 
-POLICY = Policy("push", FORM, no_options, make_unit)
+POLICY = Policy("push", FORM, no_options, make_unit, begins_anew=True)

@@ -229,4 +229,4 @@ def make_unit(
     )  # fmt: skip
 
 
-POLICY = Policy("stack", FORM, parse, make_unit, scout, watches_leaves=True, shown=shown)
+POLICY = Policy("stack", FORM, parse, make_unit, scout, watches_leaves=True, shown=shown, begins_anew=True)

@@ -5,4 +5,4 @@ from cachesim.policies import Policy, no_options
 FORM = "traced"
 HELP = "the requests in the trace, those of stack"
 
-POLICY = Policy("traced", FORM, no_options)
+POLICY = Policy("traced", FORM, no_options, begins_anew=True)

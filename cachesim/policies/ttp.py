@@ -93,4 +93,4 @@ def make_unit(machine: Machine, facts: Facts) -> Ttp:
     return Ttp(next(zeros), next(zeros), np.zeros((n_slots, depth), np.int64), next(zeros))
 
 
-POLICY = Policy("ttp", FORM, no_options, make_unit)
+POLICY = Policy("ttp", FORM, no_options, make_unit, begins_anew=True)

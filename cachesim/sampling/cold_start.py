@@ -20,11 +20,10 @@ import numpy as np
 
 from cachesim.access import PREFETCH
 from cachesim.config import CacheConfig
-from cachesim.fast_lru import empty_tags, set_mask, set_of
+from cachesim.fast_lru import LruCounts
 from cachesim.filter import DirectFilter, filter_sets
 from cachesim.source import demand_only
 from nptrace_base.errors import NptraceError
-from nptrace_base.jit import kernel
 
 #: Columns of the counts of one cache: A (demand alone), B's demand accesses, B's prefetches.
 ALONE, DEMAND, REQUESTS = range(3)
@@ -72,11 +71,7 @@ class KnownReplay:
     """
 
     def __init__(self, configs: Sequence[CacheConfig], *, from_start: bool = False) -> None:
-        self._caches = [
-            (config.n_sets, set_mask(config.n_sets), config.ways, empty_tags(config.n_sets, config.ways),
-             empty_tags(config.n_sets, config.ways))
-            for config in configs
-        ]  # fmt: skip
+        self._caches = [(LruCounts(config), LruCounts(config)) for config in configs]  # without prefetches, and with them
         self._filter = DirectFilter(filter_sets(configs), keep_first_use=True)
         self._from_start = from_start
 
@@ -88,9 +83,9 @@ class KnownReplay:
         found = np.zeros((len(self._caches), N_MISSES, 2), np.int64)
 
         def one(k: int) -> None:
-            n_sets, mask, ways, alone, both = self._caches[k]
-            count_known(demand, demand_types, n_sets, mask, ways, alone, found[k, ALONE], found[k, REQUESTS])
-            count_known(kept, kept_types, n_sets, mask, ways, both, found[k, DEMAND], found[k, REQUESTS])
+            alone, both = self._caches[k]
+            found[k, ALONE] = _step(alone, demand, demand_types)[0]
+            found[k, DEMAND], found[k, REQUESTS] = _step(both, kept, kept_types)
 
         for _ in (pool.map if pool else map)(one, range(len(self._caches))):
             pass
@@ -100,27 +95,10 @@ class KnownReplay:
         return Counts(lines.size - n_prefetches, n_prefetches, misses, unknown)
 
 
-@kernel
-def count_known(lines, access_types, n_sets, mask, ways, tags, demand, requests):
-    """Replay lines through an LRU cache; count known (entry 0) and unknown (1) misses of demand accesses and of requests.
-
-    ``tags`` is ``fast_lru.empty_tags``, updated in place.
-    """
-    for i in range(lines.size):
-        line = np.int64(lines[i])
-        first = set_of(line, n_sets, mask) * ways
-        carried = tags[first]
-        if carried == line:
-            continue
-        tags[first] = line
-        found = False
-        for at in range(first + 1, first + ways):
-            here = tags[at]
-            tags[at] = carried
-            carried = here
-            if here == line:
-                found = True
-                break
-        if not found:
-            counts = requests if access_types[i] >= PREFETCH else demand
-            counts[1 if carried < 0 else 0] += 1
+def _step(cache: LruCounts, lines: np.ndarray, access_types: np.ndarray) -> np.ndarray:
+    """Step a cache; return its known and unknown misses (columns) of demand accesses and of prefetches (rows)."""
+    misses, n_open = cache.misses.copy(), cache.n_open
+    cache.step(lines, access_types)
+    unknown = cache.open_types(n_open)  # an open access, in the words of ``cachesim.summary``
+    by_type = np.column_stack([cache.misses - misses - unknown, unknown])
+    return np.array([by_type[:PREFETCH].sum(axis=0), by_type[PREFETCH:].sum(axis=0)])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from nptrace.groups import Command
-from nptrace.options import gathered, threads_option
+from nptrace.options import gathered, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, size_text
 from nptrace.scene_options import (
@@ -48,13 +48,7 @@ if TYPE_CHECKING:
     help="Name of the run, before -kdtree, -bvh or -bvh64, instead of the usual one; once per SCENE and --camera.",
 )  # fmt: skip
 @click.option("--overwrite", is_flag=True, help="Replace a run of other content that has the same name.")
-@click.option(
-    "--workers", type=click.IntRange(0), default=0, metavar="N",
-    help="Trace parts of the picture in N processes; the run has several parts, and its rows are the same.",
-)  # fmt: skip
-@click.option(
-    "--scheduler", metavar="ADDRESS", help="Trace parts of the picture on the workers of a Dask cluster, which see --out too."
-)
+@workers_options
 @threads_option()
 @scene_options
 @results_options()

@@ -6,7 +6,16 @@ import click
 
 from cachesim.config import parse_bytes
 from nptrace.groups import BadInput, Command
-from nptrace.options import Caches, gathered, list_option, policy_option, size_option, threads_option, ways_option
+from nptrace.options import (
+    Caches,
+    gathered,
+    list_option,
+    policy_option,
+    size_option,
+    threads_option,
+    ways_option,
+    workers_options,
+)
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, again, chosen_sources, traces_option, untimed_policies
@@ -42,11 +51,12 @@ BY = ("pixel", "level", "node", "ray-type")
     help="Write where the counts of a run fall: a row for each pixel, level, node or type of ray.",
 )
 @threads_option()
+@workers_options
 @results_options("dinero")
 @gathered("caches", Caches)
 def replay(
     sources: tuple[Place, ...], folder: Place, caches: Caches, prefetch: list[str], layout: list[str], reads: str, flush: str,
-    three_c: bool, by: str | None, threads: int, output: Output,
+    three_c: bool, by: str | None, workers: int, scheduler: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Replay runs, or traces of addresses, through every combination of the cache options, exactly.
 
@@ -62,15 +72,17 @@ def replay(
     from cachesim.by_group import GroupedRecords
     from cachesim.report import group_tables, replay_tables
     from nptrace.studies import check_whole, replayed, replayed_by
+    from nptrace_base.engines import engine_of
 
     if by is not None and output.form == "dinero":
         raise BadInput("--format dinero has the counts of whole caches, and --by asks for their parts; leave one out")
-    check_whole(by, reads, flush)
+    check_whole(by, reads, flush, has_workers=bool(workers or scheduler))
     configs, paths, began = caches.configs(), chosen_sources(sources, folder), time.perf_counter()
-    with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
+    with engine_of(workers, scheduler) as engine, Progress(len(paths) * len(layout) * len(prefetch)) as bar:
         if by is None:
             results = replayed(
-                paths, configs, prefetch, layout, bar, reads=reads, flush=flush, three_c=three_c, threads=threads
+                paths, configs, prefetch, layout, bar, reads=reads, flush=flush, three_c=three_c, threads=threads,
+                engine=engine,
             )  # fmt: skip
             runs = {result.identity for result in results}
         else:

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from cachesim.config import parse_bytes
-from nptrace.options import list_option, threads_option, ways_option
+from nptrace.options import list_option, threads_option, ways_option, workers_options
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.sources import PlaceOf, again, chosen_sources, traces_option
@@ -22,11 +22,13 @@ from nptrace_base.places import Place
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help="Prefetch policy: none, traced, stack[:...].")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help="Node layout, as in npcache replay.")
 @threads_option()
+@workers_options
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options(default="csv")
 def sweep(
     sources: tuple[Place, ...], folder: Place, size: list[str], ways: list[tuple[str, ...]], line: list[int],
-    prefetch: list[str], layout: list[str], threads: int, picture: Path | None, output: Output,
+    prefetch: list[str], layout: list[str], workers: int, scheduler: str | None, threads: int, picture: Path | None,
+    output: Output,
 ) -> None:  # fmt: skip
     """Count the misses of every LRU cache in ranges of size, associativity and line, exactly, in one pass over each trace.
 
@@ -41,13 +43,14 @@ def sweep(
     from cachesim.report.curves import draw_curves
     from cachesim.report.pictures import check_plot
     from nptrace.studies import swept
+    from nptrace_base.engines import engine_of
 
     if picture is not None:
         check_plot(picture)  # refused now, not after counting
     configs = grid([parse_range(text) for text in size], [way for named in ways for way in named], line)
     paths, began = chosen_sources(sources, folder), time.perf_counter()
-    with Progress(len(paths) * len(layout) * len(prefetch)) as bar:
-        rows = swept(paths, configs, prefetch, layout, bar, threads=threads)
+    with engine_of(workers, scheduler) as engine, Progress(len(paths) * len(layout) * len(prefetch)) as bar:
+        rows = swept(paths, configs, prefetch, layout, bar, threads=threads, engine=engine)
         if picture is not None:
             bar.phase("plot")
             draw_curves([row.to_dict() for row in rows], picture)

@@ -55,6 +55,16 @@ GOALS |= {
     "replay from Parquet / 2-way from memory": ("one replay straight from Parquet, over one from memory", "<= 5"),
     "decode node + kind, M accesses/s": ("reading node and kind, M accesses a second on one core", ">= 120"),
     "replay of 4 caches, unfiltered / filtered": ("four caches with prefetches: without over with the exact filter", ""),
+    "counts in parts / whole": (
+        "parts of 2^20 accesses, replayed from nothing and joined, over one replay; 8K 2-way",
+        "<= 1.25",
+    ),
+    "counts, 64K 8-way in parts / whole": ("the same, 64K 8-way", "<= 1.25"),
+    "sweep in parts / whole": ("the same, all of 2^4..2^11 sets x 1..16 ways in one pass", "<= 1.20"),
+    "account in parts / whole": ("the same, 8K 2-way with the account of prefetches", "<= 1.15"),
+    "8 ways, move to front / linked lists": ("misses of 64K 8-way alone, over the replay that keeps an account", "<= 0.7"),
+    "bytes of a summary of a line, counts alone": ("bytes of a summary of 64K 4-way for each of its lines, with zstd", "<= 9"),
+    "one long run, one thread / two": ("a replay from Parquet, 8K 2-way, wall time: one thread over two", ">= 1.6"),
     "cold compile of everything, s": ("cold compilation of everything by two processes, s of wall time", "<= 25"),
     "cold compile of everything, CPU s": ("the same, CPU s of both", ""),
     "warm start to the first ray, s": ("warm start to the first traced ray, CPU s", "<= 1.0"),
@@ -67,6 +77,7 @@ GOALS |= {
 ABSENT = {
     "/ c++": "no C++ compiler",
     "DineroIV": "DINERO names no binary",
+    "one long run": "no run is long enough",
     "pycachesim": "PYCACHESIM names no Python with pycachesim",
 }
 

@@ -19,12 +19,12 @@ import numpy as np
 
 from cachesim.all_associativity import SetCounts
 from cachesim.config import CacheConfig
-from cachesim.fast_lru import empty_tags, set_mask
+from cachesim.fast_lru import LruCounts
 from cachesim.filter import DirectFilter, filter_sets
 from cachesim.layout import addresses
 from cachesim.lines import NodeLines
 from cachesim.report.table1 import SCENES, caches
-from cachesim.sampling.cold_start import ALONE, KnownReplay, count_known
+from cachesim.sampling.cold_start import ALONE, KnownReplay
 from cachesim.sampling.estimate import estimate
 from cachesim.sampling.quantities import OF_THE_RUN, QUANTITIES, ratios_of
 from cachesim.sampling.sampler import Sampler
@@ -160,11 +160,9 @@ def run_exactly(source: RayUnits, configs: list[CacheConfig]) -> Exact:
 
 def unfiltered(lines: np.ndarray, labels: np.ndarray, configs: list[CacheConfig]) -> None:
     """Replay with and without prefetches through every cache, each access."""
-    counts = np.zeros(2, np.int64)
     for config in configs:
         for stream in ((lines, labels), demand_only(lines, labels)):
-            tags = empty_tags(config.n_sets, config.ways)
-            count_known(*stream, config.n_sets, set_mask(config.n_sets), config.ways, tags, counts, counts)
+            LruCounts(config).step(*stream)
 
 
 def in_hottest_tenth(lines: np.ndarray, labels: np.ndarray, n_classes: int, config: CacheConfig) -> float:

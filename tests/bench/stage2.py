@@ -15,12 +15,13 @@ from cachesim.clock.parameters import PRESETS
 from cachesim.clock.stretches import Stretches
 from cachesim.clock.timing import Workshop, time_run
 from cachesim.config import CacheConfig
-from cachesim.fast_lru import direct_mapped, empty_tags, set_mask, two_way
+from cachesim.fast_lru import LruCounts
 from cachesim.prefetch import parse_prefetch
 from cachesim.replay import replay
 from cachesim.source import RunSource
 from cachesim.stack_distance import StackDistances
 from tests.bench.measure import ratio, times
+from tests.bench.parts import bench_parts
 from traces.din import export_din
 from traces.reader import Run
 
@@ -42,15 +43,10 @@ def bench_run(run: Run, repeat: int) -> dict[str, float]:
     lines, labels = demand_lines(run)
     n = len(lines)
 
-    def one(kernel, n_sets, ways):
-        misses = np.zeros(16, np.int64)
-        kernel(lines, labels, n_sets, set_mask(n_sets), empty_tags(n_sets, ways), misses)
-        return misses
-
     config = CacheConfig(8192, 2)
     functions = {
-        "one way": lambda: one(direct_mapped, 256, 1),
-        "two ways": lambda: one(two_way, 128, 2),
+        "one way": lambda: LruCounts(CacheConfig(8192, 1)).step(lines, labels),
+        "two ways": lambda: LruCounts(config).step(lines, labels),
         "decode": lambda: sum(len(node) for node, _ in run.batches()),
         "from Parquet": lambda: replay(run, [config], prefetch="none", threads=1),
         "four": lambda: replay(run, TABLE1, threads=1),
@@ -69,7 +65,7 @@ def bench_run(run: Run, repeat: int) -> dict[str, float]:
     out |= bench_sweep(lines, labels, taken["two ways"], repeat)
     out |= {f"clock, {rays} rays, ns per access": clock_ns(run, rays, repeat) for rays in (1, 64)}
     out |= bench_dinero(run, two / n)
-    return out
+    return out | bench_parts(run, lines, labels, repeat)
 
 
 def clock_ns(run: Run, rays: int, repeat: int) -> float:

@@ -10,6 +10,8 @@ SWEEP, OPT = "tests/cachesim/test_sweep.py", "tests/cachesim/test_opt.py"
 FORMAT, FAULTS, FUZZ = "tests/traces/test_format.py", "tests/nptrace/test_faults.py", "tests/test_fuzz.py"
 SW, LE, RE, FI = "cachesim/sweep.py", "cachesim/all_associativity.py", "cachesim/stack_distance.py", "cachesim/filter.py"
 LI, NU, EX, RP = "cachesim/replacement.py", "cachesim/next_use.py", "cachesim/cache.py", "cachesim/replay.py"
+PA, FL, ET, SF = "cachesim/parts.py", "cachesim/fast_lru.py", "cachesim/exact.py", "cachesim/summary_file.py"
+FOLD, PARTS = "tests/cachesim/test_summary.py", "tests/nptrace/test_parts.py"
 KT, KE, KS = "rtrace/trees/kdtree.py", "rtrace/trees/kd_events.py", "rtrace/trees/kd_sweep.py"
 CL, BV, SO = "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/merge_sort.py"
 
@@ -67,19 +69,19 @@ MUTATIONS = [
     Mutation("sweep: other policies than LRU accepted", SW, 'if config.policy != "lru":', 'if config.policy == "mru":', f"{SWEEP} -k refused"),
     Mutation("sweep: any number of sets accepted", SW, "if config.n_sets & (config.n_sets - 1):", "if config.n_sets < 0:", f"{SWEEP} -k refused"),
     Mutation("sweep: pre-fetchers that react are accepted", RE, "if prefetch.trigger:", "if prefetch.trigger > 9:", f"{SWEEP} -k refused"),
-    Mutation("sweep: the last batch is not waited for", SW, "        for step in running:\n            step.result()\n    return", "    return", SWEEP),
-    Mutation("sweep: a batch does not wait for the one before", SW, "            for step in running:\n                step.result()\n            running", "            running", SWEEP),
+    Mutation("sweep: the last batch is not waited for", PA, "        for step in running:\n            step.result()\n    return", "    return", SWEEP),
+    Mutation("sweep: a batch does not wait for the one before", PA, "            for step in running:\n                step.result()\n            running", "            running", SWEEP),
     Mutation("sweep: A counts the pre-fetches too", SW, "own, own_types = demand_only(lines, access_types)", "own, own_types = lines, access_types", SWEEP),
     Mutation("sweep: misses of A are those of B", SW, "demand_misses_without=demand.misses(config)[0]", "demand_misses_without=demand_misses", SWEEP),
     Mutation("sweep: pre-fetches counted as demand accesses", SW, "self.n_demand += access_types.size - n_prefetches", "self.n_demand += access_types.size", SWEEP),
     Mutation("sweep: traffic ratio of demand misses alone", SW, '"traffic_ratio": ratio(misses, self.demand_misses_without)', '"traffic_ratio": ratio(self.demand_misses, self.demand_misses_without)', SWEEP),
     Mutation("sweep: full caches through the levels", SW, "several = [config for config in configs if config.n_sets > 1]", "several = [config for config in configs if config.n_sets > 2]", SWEEP),
     # --- levels ---
-    Mutation("levels: the first level is the second", LE, "self._first, n_set_counts = min(exponents), max(exponents) - min(exponents) + 1", "self._first, n_set_counts = min(exponents) + 1, max(exponents) - min(exponents) + 1", f"{SWEEP} -k cell"),
+    Mutation("levels: the first level is the second", LE, "first, n_levels = min(exponents), max(exponents) - min(exponents) + 1", "first, n_levels = min(exponents) + 1, max(exponents) - min(exponents) + 1", f"{SWEEP} -k cell"),
     Mutation("levels: misses from one way less", LE, "self.counts[k, :, config.ways - 1 :]", "self.counts[k, :, config.ways :]", f"{SWEEP} -k cell"),
-    Mutation("levels: pre-fetches among the demand", LE, "bins = n_depths if access_types[i] >= PREFETCH else ZERO", "bins = ZERO", f"{SWEEP} -k cell"),
-    Mutation("levels: the walk goes on at the newest line", LE, "            if carried == line:\n                break\n", "            if carried == line:\n                pass\n", f"{SWEEP} -k cell"),
-    Mutation("levels: the walk stops at the second line too", LE, "                counts[bins] += 1\n", "                counts[bins] += 1\n                break\n", f"{SWEEP} -k cell"),
+    Mutation("levels: pre-fetches among the demand", LE, "(n_depths if access_type >= PREFETCH else ZERO)", "ZERO", f"{SWEEP} -k cell"),
+    Mutation("levels: the walk goes on at the newest line", LE, "        if carried == line:\n            break\n", "        if carried == line:\n            pass\n", f"{SWEEP} -k cell"),
+    Mutation("levels: the walk stops at the second line too", LE, "            counts[bins] += 1\n", "            counts[bins] += 1\n            break\n", f"{SWEEP} -k cell"),
     Mutation("levels: the line carried down is dropped", LE, "newest[first_line], newest[second_line] = line, carried", "newest[first_line], newest[second_line] = line, second", f"{SWEEP} -k cell"),
     Mutation("levels: depth one too small", LE, "counts[bins + ONE + depth] += 1", "counts[bins + depth] += 1", f"{SWEEP} -k cell"),
     Mutation("levels: lines beyond the sixteenth forgotten", LE, "if depth == N_LANES and n_oldest:", "if depth == N_LANES and n_oldest > N_LANES * N_LANES:", f"{SWEEP} -k cell"),
@@ -122,7 +124,7 @@ MUTATIONS = [
     Mutation("opt: every batch begins the future anew", NU, "        self.n_taken += n\n        return self._next[self.n_taken - n : self.n_taken]", "        return self._next[:n]", OPT),
     Mutation("opt: the oldest of the unused lines stays", EX, "due = _LATE - start - i", "due = _LATE + start + i", OPT),
     Mutation("opt: the shadow does not know the future", EX, "            cache.shadow.due[line_id] = due\n", "            pass\n", OPT),
-    Mutation("opt: pre-fetchers that react are accepted", RP, "        check_foreseeable(prefetch)\n", "", OPT),
+    Mutation("opt: pre-fetchers that react are accepted", RP, "        check_foreseeable(asked.policy)\n", "        pass\n", OPT),
     # --- whole files ---
     Mutation("files: written in place", "nptrace_base/atomic.py", "temporary = path.with_name(f\".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}\")", "temporary = path", f"{SWEEP} -k whole"),
     Mutation("files: what a failed writer left stays", "nptrace_base/atomic.py", "        temporary.unlink(missing_ok=True)\n", "        pass\n", f"{SWEEP} -k whole"),
@@ -131,12 +133,31 @@ MUTATIONS = [
     Mutation("format: pages are not checked", "traces/reader.py", "pq.ParquetFile(handle, page_checksum_verification=True)", "pq.ParquetFile(handle)", FORMAT),
     Mutation("format: a footer that is no object is an error of ours", "traces/footer.py", "if not isinstance(values, dict):", "if False:", "tests/traces/test_footer.py"),
     Mutation("sweep: a range of ways of any length", "cachesim/grid.py", "if numbers[-1] - numbers[0] >= MAX_RANGE:", "if numbers[-1] - numbers[0] >= 1 << 20:", f"{SWEEP} -k range"),
+    # --- the fold ---
+    Mutation("fold: open accesses are counted twice", FL, "its.misses - later.open_types()", "its.misses", f"{FOLD} -k counts_alone"),
+    Mutation("fold: the earlier lines stay in front", FL, "        np.copyto(whole._lru.tags, its.tags, where=its.tags >= 0)\n", "", f"{FOLD} -k counts_alone"),
+    Mutation("fold: the earlier part is joined in place", ET, "whole = self._copy()", "whole = self", f"{FOLD} -k account"),
+    Mutation("fold: misses in full sets step the cache", ET, "if n_seen[s] < cache.lists.ways:", "if n_seen[s] <= cache.lists.ways:", f"{FOLD} -k account"),
+    Mutation("fold: first accesses stay compulsory", ET, "for which in (MISSES, COMPULSORY) if cache.three_c else (MISSES,):", "for which in (MISSES,):", f"{FOLD} -k account"),
+    Mutation("fold: a redundant prefetch keeps its use", ET, "        cache.account[USEFUL] -= 1\n", "        pass\n", f"{FOLD} -k account"),
+    Mutation("fold: a redundant prefetch keeps its eviction", ET, "        cache.account[USELESS] -= 1\n", "        pass\n", f"{FOLD} -k account"),
+    Mutation("fold: a redundant prefetch still waits", ET, "if found & PENDING and not fact & UNUSED:", "if False:", f"{FOLD} -k account"),
+    Mutation("fold: an earlier fill does not get the later fate", ET, "if fact & PENDING and not found & PENDING:", "if False:", f"{FOLD} -k account"),
+    Mutation("fold: a miss in a full set forgets who pushed the line out", ET, "            cache.facts[line_id] = now & (255 - PUSHED_OUT)", "            cache.facts[line_id] = now", f"{FOLD} -k account"),
+    Mutation("fold: open accesses are walked from the first level", LE, "np.uint64(from_levels[i]), levels)", "ZERO, levels)", f"{FOLD} -k associat"),
+    Mutation("fold: open at its first level alone", LE, "np.cumsum(opened, axis=0)", "opened", f"{FOLD} -k associat"),
+    Mutation("fold: the order of last accesses is that of the first", RE, 'whole._use(arrays["order"])', 'whole._use(arrays["first_ids"])', f"{FOLD} -k stack"),
+    Mutation("parts: cut anywhere", "traces/run.py", "                if begins.any():\n                    return row + int(begins.argmax())\n", "                return row\n", f"{PARTS} -k share"),
+    Mutation("parts: a pool that broke is the end", "nptrace_base/engines.py", "if in_vain == _ROUNDS or not self._can_restart:", "if True:", f"{PARTS} -k killed"),
+    Mutation("files: a gap is nothing", SF, "if part.rows.start > row:", "if False:", f"{PARTS} -k gaps"),
+    Mutation("files: an overlap is nothing", SF, "if part.rows.start < row:", "if False:", f"{PARTS} -k gaps"),
+    Mutation("files: other questions are answered too", SF, "if part.asked != first.asked:", "if False:", f"{PARTS} -k gaps"),
     # --- part of a run ---
-    Mutation("known: misses of an unknown past are certain", "cachesim/sampling/cold_start.py", "counts[1 if carried < 0 else 0] += 1", "counts[0] += 1", "tests/cachesim/sampling/test_cold_start.py"),
-    Mutation("known: requests counted as demand", "cachesim/sampling/cold_start.py", "counts = requests if access_types[i] >= PREFETCH else demand", "counts = demand", "tests/cachesim/sampling/test_cold_start.py"),
-    Mutation("known: the newest line is not moved up", "cachesim/sampling/cold_start.py", "        tags[first] = line\n", "", "tests/cachesim/sampling/test_cold_start.py"),
+    Mutation("known: misses of an unknown past are certain", "cachesim/sampling/cold_start.py", "unknown = cache.open_types(n_open)", "unknown = 0 * cache.open_types(n_open)", "tests/cachesim/sampling/test_cold_start.py"),
+    Mutation("known: requests counted as demand", "cachesim/sampling/cold_start.py", "by_type[PREFETCH:].sum(axis=0)]", "by_type[:PREFETCH].sum(axis=0)]", "tests/cachesim/sampling/test_cold_start.py"),
+    Mutation("known: the newest line is not moved up", "cachesim/fast_lru.py", "        tags[first] = line\n", "", "tests/cachesim/sampling/test_cold_start.py"),
     Mutation("known: a start with the trace leaves misses open", "cachesim/sampling/cold_start.py", "if self._from_start:", "if self._from_start and False:", "tests/cachesim/sampling/test_cold_start.py"),
-    Mutation("known: A with the pre-fetches", "cachesim/sampling/cold_start.py", "count_known(demand, demand_types, n_sets", "count_known(kept, kept_types, n_sets", "tests/cachesim/sampling/test_cold_start.py"),
+    Mutation("known: A with the pre-fetches", "cachesim/sampling/cold_start.py", "_step(alone, demand, demand_types)", "_step(alone, kept, kept_types)", "tests/cachesim/sampling/test_cold_start.py"),
     Mutation("set sampling: misses not multiplied up", "cachesim/sampling/set_sampling.py", "int(found[DEMAND]) * every", "int(found[DEMAND])", "tests/cachesim/sampling/test_sampled_lines.py"),
     Mutation("set sampling: classes by a mask where a division is needed", "cachesim/sampling/set_sampling.py", "is_taken[line & mask] if is_power", "is_taken[line & mask] if True", "tests/cachesim/sampling/test_sampled_lines.py"),
     Mutation("set sampling: the first sets instead of some at random", "cachesim/sampling/set_sampling.py", "np.random.default_rng(seed).permutation(n_classes)[which::every]", "np.arange(n_classes)[which :: every + 1]", "tests/cachesim/sampling/test_sampled_lines.py"),

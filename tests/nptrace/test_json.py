@@ -22,6 +22,7 @@ COMMANDS = {
     "hard_check": "nptrace check --hard",
     "replay": "npcache replay traces/bunny-bvh empty.din --size 1K,2K --policy lru,random --prefetch none,traced",
     "replay_by": "npcache replay traces/bunny-bvh --size 1K --by node --3c --prefetch none,traced",
+    "combine": "npcache combine all.sum",
     "sweep": "npcache sweep traces/bunny-kdtree empty.din --size 1K --ways 1,full",
     "time": "npcache time traces/bunny-bvh --size 1K --assoc 1 --rays 1,4 --policy random",
     "time_by": "npcache time traces/bunny-bvh --size 1K --assoc 1 --by slot",
@@ -53,6 +54,8 @@ def folder(tmp_path, monkeypatch):
     inputs(tmp_path)
     (tmp_path / "empty.din").write_text("b 1000\nb 1020\n")
     (tmp_path / "study.toml").write_text(STUDY)
+    part = "summarise traces/bunny-bvh --part 1/1 --size 1K --prefetch none,traced -o all.sum"
+    assert CliRunner().invoke(cli.npcache, part.split()).exit_code == 0
     rows = [hard_cases.Row("case", "kdtree", 9, 0, 0, 0, 0.5, bound, 0, 1) for bound in (4.0, math.inf)]
     monkeypatch.setattr(precompile, "compile_all", lambda watch: 3)
     monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads: rows)

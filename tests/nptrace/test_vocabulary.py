@@ -14,7 +14,7 @@ from tests.nptrace.test_terminal import inputs
 
 ALL = [(group, name) for group in (cli.nptrace, cli.npcache) for name in group.commands]
 #: Commands that print no results.
-OTHERS = {"export", "view", "plot", "report"}
+OTHERS = {"export", "view", "plot", "report", "summarise"}
 ROOT = Path(cli.__file__).resolve().parent
 
 
