@@ -110,7 +110,8 @@ bench: $(INSTALLED) ## Measure speed, about 15 minutes, and write docs/performan
 	$(BIN)/python -m tests.bench $(ARGS)
 	$(BIN)/python -m tests.bench.scaling $(ARGS)
 	$(BIN)/python -m tests.bench.large $(ARGS)
-	@test -n "$(ARGS)" || $(BIN)/cog -r docs/performance.md
+	$(BIN)/python -m tests.bench.scale $(ARGS)
+	@test -n "$(ARGS)" || $(BIN)/cog -r docs/performance.md docs/scale.md
 
 speed-error: $(INSTALLED) ## Measure speed against error and calibrate, an hour or two, and write docs/speed-error.md (ARGS=--quick: a minute, writes nothing)
 	$(BIN)/python -m tests.bench.speed_error $(ARGS)

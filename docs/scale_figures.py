@@ -1,0 +1,56 @@
+"""The tables of docs/scale.md, from the files that tests/bench/scale.py writes."""
+
+from figures import rows_of
+
+#: The rates, and how they are printed.
+RATES = {
+    "render_per_access": ("rendering, ns an access", 1e9), "replay_per_access": ("replay from Parquet, ns an access", 1e9),
+    "join": ("joining two summaries, ms", 1e3), "summary_bytes": ("a summary file, KB", 1 / 1024),
+    "begin": ("start of a worker, s", 1.0),
+}  # fmt: skip
+WORDS = {"replay": "Replay", "render and replay": "Rendering and replay"}
+
+
+def rates(cog) -> None:
+    """Write what was measured."""
+    values = {row["rate"]: float(row["value"]) for row in rows_of("scale_rates.csv")}
+    cog.outl("| " + " | ".join(title for title, _ in RATES.values()) + " |")
+    cog.outl("|" + " ---: |" * len(RATES))
+    cog.outl("| " + " | ".join(f"{values[name] * by:.3g}" for name, (_, by) in RATES.items()) + " |")
+
+
+def study(cog) -> None:
+    """Write wall time and efficiency by the number of workers."""
+    rows = rows_of("scale.csv")
+    workers = list(dict.fromkeys(row["workers"] for row in rows))
+    cog.outl("| accesses | | core hours | " + " | ".join(f"{int(n):,}" for n in workers) + " |")
+    cog.outl("| ---: | --- | ---: |" + " ---: |" * len(workers))
+    for n, work in dict.fromkeys((row["accesses"], row["work"]) for row in rows):
+        of = [row for row in rows if (row["accesses"], row["work"]) == (n, work)]
+        cells = [f"{_time(float(row['wall s']))}, {100 * float(row['efficiency']):.0f} %" for row in of]
+        cog.outl(f"| 10^{len(n) - 1} | {work} | {float(of[0]['core hours']):,.3g} | {' | '.join(cells)} |")
+
+
+def limits(cog) -> None:
+    """Write where more workers stop helping, in sentences."""
+    rows = rows_of("scale.csv")
+    for n, work in dict.fromkeys((row["accesses"], row["work"]) for row in rows):
+        of = [row for row in rows if (row["accesses"], row["work"]) == (n, work)]
+        best = min(of, key=lambda row: float(row["wall s"]))
+        well = [row for row in of if float(row["efficiency"]) >= 0.5]
+        most = max(well, key=lambda row: int(row["workers"])) if well else None
+        half = (
+            f"{int(most['workers']):,} workers are busy at least half of the time"
+            if most
+            else "no number of workers is busy half of the time"
+        )
+        cog.outl(
+            f"- {WORDS[work]} of 10^{len(n) - 1} accesses: {half}; the least time is {_time(float(best['wall s']))} on "
+            f"{int(best['workers']):,}, which send {float(best['summaries MB']):,.3g} MB of summaries."
+        )
+
+
+def _time(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:,.3g} h"
