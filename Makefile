@@ -19,7 +19,7 @@ NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::tes
 	tests/cachesim/test_replay.py::test_every_count_is_that_of_the_model \
 	tests/cachesim/test_sweep.py::test_cells_are_those_of_the_model tests/cachesim/test_opt.py::test_every_count_is_that_of_the_model
 PAGES := README.md docs/does-it-pay.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md \
-	docs/your-scene.md docs/metrics.md docs/model.md docs/commands.md docs/extending.md
+	docs/your-scene.md docs/metrics.md docs/model.md docs/commands.md docs/extending.md docs/scale.md
 
 .DEFAULT_GOAL := help
 .PHONY: help test test-nojit bench lint wheel-check map pay-data pictures docs docs-check site correctness fuzz speed-error reproduce-table clean

@@ -39,15 +39,20 @@ def limits(cog) -> None:
         best = min(of, key=lambda row: float(row["wall s"]))
         well = [row for row in of if float(row["efficiency"]) >= 0.5]
         most = max(well, key=lambda row: int(row["workers"])) if well else None
-        half = (
-            f"{int(most['workers']):,} workers are busy at least half of the time"
-            if most
-            else "no number of workers is busy half of the time"
-        )
+        half = f"{int(most['workers']):,} workers are busy at least half of the time" if most else "workers mostly wait"
         cog.outl(
             f"- {WORDS[work]} of 10^{len(n) - 1} accesses: {half}; the least time is {_time(float(best['wall s']))} on "
             f"{int(best['workers']):,}, which send {float(best['summaries MB']):,.3g} MB of summaries."
         )
+
+
+def causes(cog) -> None:
+    """Write how much less time a replay of 10^12 accesses would take without each limit."""
+    rows = rows_of("scale_limits.csv")
+    for n in dict.fromkeys(row["workers"] for row in rows):
+        of = sorted((row for row in rows if row["workers"] == n), key=lambda row: -float(row["saved s"]))
+        parts = [f"{row['without']} {_time(max(float(row['saved s']), 0.0))}" for row in of]
+        cog.outl(f"- {int(n):,} workers take {_time(float(of[0]['wall s']))}, of which cost {', '.join(parts)}.")
 
 
 def _time(seconds: float) -> str:

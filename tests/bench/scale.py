@@ -55,6 +55,9 @@ class Cluster(NamedTuple):
     slow: float = 4.0  # times as long
 
 
+_USUAL = Cluster()
+
+
 class Rates(NamedTuple):
     """What was measured, in seconds of one core unless a name says otherwise."""
 
@@ -99,7 +102,7 @@ def measure(pixels: int, repeat: int) -> Rates:
 
 
 def simulate(
-    n_accesses: int, n_workers: int, task_rate: float, rates: Rates, cluster: Cluster = Cluster()
+    n_accesses: int, n_workers: int, task_rate: float, rates: Rates, cluster: Cluster = _USUAL
 ) -> tuple[float, float, int]:  # fmt: skip
     """Return the wall time of a study on so many workers, the busy time of all of them, and the number of parts."""
     n_parts = max(min(PARTS * n_workers, n_accesses // LEAST), 1)
@@ -151,7 +154,7 @@ def rows(rates: Rates, workers: tuple[int, ...], accesses: tuple[int, ...]) -> l
 
 def limits(rates: Rates, n_accesses: int, workers: tuple[int, ...]) -> list[dict[str, object]]:
     """Return by how much less time a replay would take without each thing that holds it up."""
-    rate, cluster = rates.replay_per_access, Cluster()
+    rate, cluster = rates.replay_per_access, _USUAL
     without = {
         "late starts": (rates._replace(begin=0.0), cluster._replace(start=0.0, spread=0.0)),
         "messages to the scheduler": (rates, cluster._replace(message=0.0)),
