@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 
 from nptrace_base.errors import NptraceError
 from rtrace.camera import ORDERS, check_size
-from traces.node_formats import CHILD_BOXES, NODE_FORMATS
+from traces.node_formats import NODE_FORMATS
 
 #: Rays of a packet: those of a square of pixels.
 PACKETS = (1, 4, 16, 64)
@@ -69,7 +69,7 @@ class Shooting:
         """Raise NptraceError if rays cannot be traced so in a tree of a format."""
         for name in ("packet", "shadow_order", "shadow_end"):
             value = getattr(self, name)
-            if NODE_FORMATS[kind].boxes == CHILD_BOXES and value != _USUAL[name]:
+            if value != _USUAL[name] and not NODE_FORMATS[kind].takes_packets:
                 raise NptraceError(
                     f"{name} {value} is for nodes as Manta has them, of 8 and 32 bytes, and not for {kind}; leave out "
                     f"--bvh-nodes 64, or keep {name} {_USUAL[name]}"

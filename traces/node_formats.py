@@ -56,6 +56,11 @@ class NodeFormat(NamedTuple):
         return self.boxes != CHILD_BOXES
 
     @property
+    def takes_packets(self) -> bool:
+        """Whether packets of rays walk the nodes, and shadow rays search them as Manta does: the formats that Manta has."""
+        return self.boxes != CHILD_BOXES
+
+    @property
     def address_rule(self) -> str:
         """What ``stored_addresses`` gives, in words."""
         if self.reads_leaves:

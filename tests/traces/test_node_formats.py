@@ -5,7 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from nptrace.scene_options import BVH_NODES
-from rtrace.traverse import KERNELS
+from rtrace.traverse import KERNELS, PACKET_KERNELS
 from tests.reference import traversal
 from tests.reference.traces import make_trace, write
 from tests.traces.test_run_values import rewrite, with_value
@@ -18,6 +18,7 @@ from traces.validation import INNER_KINDS, leaf_kinds
 
 def test_every_format_is_known_everywhere():
     assert list(NODE_FORMATS) == list(KERNELS) == list(traversal.WALKS)
+    assert [name for name, each in NODE_FORMATS.items() if each.takes_packets] == list(PACKET_KERNELS)
     assert list(formats_of("bvh")) == list(map(int, BVH_NODES))
     assert [each.node_bytes for each in NODE_FORMATS.values()] == [8, 32, 64]
     assert [each.reads_leaves for each in NODE_FORMATS.values()] == [True, True, False]
