@@ -100,9 +100,25 @@ def processes(n: int) -> Engine:
     """Return ``n`` processes of this machine; those that are killed are replaced."""
     if n < 1:
         raise NptraceError(f"workers must be at least 1, got {n}; leave it out to work in this process")
+    _begin_tracker()
     # Not forked: Numba's and Arrow's threads do not survive it.
     context = multiprocessing.get_context("spawn")
     return Engine(lambda: ProcessPoolExecutor(n, context, _begin_worker), "a worker process", can_restart=True, n_workers=n)
+
+
+def _begin_tracker() -> None:
+    """Start the process that frees semaphores after one that ended at once, as Ctrl-C ends it, without a warning of that."""
+    from multiprocessing import resource_tracker
+
+    usual = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [usual, "ignore:resource_tracker:UserWarning"]))
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        if usual is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = usual
 
 
 def _begin_worker() -> None:

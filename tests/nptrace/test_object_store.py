@@ -15,7 +15,7 @@ import cli
 import nptrace as nt
 import rtrace.part_render as part_render
 import rtrace.render as rendering
-from nptrace_base.places import filesystem_of
+from nptrace_base.places import filesystem_of, place
 
 KEY, SECRET = "AKIAOFTHETEST", "s3cretOfTheTest"
 
@@ -159,6 +159,20 @@ def test_a_run_of_other_content_is_kept_there_too(requests):
     run(f"{RENDER} s3://runs/a --name x --seed 3 --overwrite")
     assert nt.open("s3://runs/a/x-bvh").footer.seed == 3
     assert len(stored()) == len(before)
+
+
+def test_an_exception_while_writing_publishes_nothing(requests):
+    """A stream that an exception ends is published all the same, with what it holds."""
+
+    def pieces():
+        yield b"half"
+        raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        place("s3://runs/a/manifest.json").publish(pieces())
+    assert stored() == {}
+    assert ("PUT", "runs/a/manifest.json") not in requests
+    assert any(what == "PUT" and path.endswith(".upload") for what, path in requests)  # it was, under another name
 
 
 def test_no_key_is_in_a_file_or_a_message(requests, tmp_path):

@@ -117,6 +117,8 @@ def test_another_run_of_the_name_is_kept_and_a_damaged_one_is_made_again(folder)
         ("order =", "orders =", 5, "[render] has no 'orders'; its keys are scenes, accel, pixels"),
         ("[time]", "[clock]", 10, "a study has no 'clock'; its keys are out, render, replay, sweep, time"),
         ('out = "runs"', "out = 3", 1, "out is 3, and no folder"),
+        ('out = "runs"', 'out = "s3://bucket/runs"', 1, "out is s3://bucket/runs, and a study keeps rows beside its runs"),
+        ('out = "runs"', 'out = "s3://me:hunter2@bucket"', 1, "s3://bucket was given with a user or a password"),
         ('"24x16"]', '"24"]', 4, "24"),
         ('"morton"', '"spiral"', 5, "order must be one of"),
         ('size = "1K,2K"', 'size = "1K,x"', 7, "size: 'x' is not a size"),

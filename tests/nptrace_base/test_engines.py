@@ -119,14 +119,15 @@ def test_workers_end_with_the_process_that_started_them(tmp_path):
         "    next(results)\n"
     )
     (tmp_path / "parent.py").write_text(script)
-    parent = subprocess.Popen([sys.executable, tmp_path / "parent.py"], env=os.environ | {"PYTHONPATH": os.getcwd()})
+    environment = os.environ | {"PYTHONPATH": os.getcwd()}
+    parent = subprocess.Popen([sys.executable, tmp_path / "parent.py"], env=environment, stderr=subprocess.PIPE)
     while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
         time.sleep(0.1)
         assert parent.poll() is None
     worker = int((tmp_path / "pid").read_text())
     os.kill(worker, 0)
     parent.send_signal(signal.SIGKILL)
-    parent.wait()
+    assert parent.communicate()[1] == b""  # nor does anything that it started say something
     for _ in range(100):
         try:
             os.kill(worker, 0)
