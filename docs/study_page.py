@@ -438,8 +438,8 @@ def preset(cog: Any) -> None:
     on_all = "is" if is_within_target(summary(model.residuals)) else "is not"
     cog.outl(
         f"The target is B/A within {TARGET[0]} points in the median row and {TARGET[1]:.0f} in the worst. It {on_all} met on "
-        f"all rows; found on half of them it holds on the other half in {sum(halves)} of {len(halves)} halves. Found without a "
-        f"scene, it holds there under so many of its views: {', '.join(texts)}."
+        f"all rows; found on half of them it holds on the other half in {sum(halves)} of {len(halves)} halves. Found without "
+        f"a scene, it holds there under so many of its views: {', '.join(texts)}."
     )
 
 

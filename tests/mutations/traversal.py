@@ -97,7 +97,7 @@ MUTATIONS = [
     Mutation("bvh64: a hit does not shorten the ray", "rtrace/traversers/bvh64.py", "larger(x, pack_halves(near_t, -best))", "larger(x, pack_halves(near_t, -t_max[i]))", f"{TRAVERSE} -k bvh64"),
     Mutation("bvh64: upper faces of pairs are the lower ones", "rtrace/trees/tree.py", 'pairs["faces"][:, :, 2:4] = siblings["upper"]', 'pairs["faces"][:, :, 2:4] = siblings["lower"]', f"{TRAVERSE} -k bvh64"),
     Mutation("lanes: both halves alike", "rtrace/simd.py", "args[i // 2]", "args[0]", f"{TRAVERSE} -k bvh64"),
-    Mutation("formats: a leaf that is entered is an access", "cachesim/source.py", "if not self._format.reads_leaves:", "if False:", FORMATS),
+    Mutation("formats: a leaf that is entered is an access", "cachesim/source.py", "if not self.node_format.reads_leaves:", "if False:", FORMATS),
     Mutation("formats: a leaf on the stack uses up the budget", "cachesim/policies/stack.py", "            self.pointer[slot] = entry\n",
              "            self.pointer[slot] = entry\n            self.left[slot] -= machine.tree.n_lines[machine.stack[slot, entry]] == 0\n", PREFETCH),
     Mutation("formats: after a read without a push the child is popped", "cachesim/prefetch.py", "parent[node] == last_node)", "parent[node] == -2)", PREFETCH),
