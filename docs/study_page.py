@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from statistics import median
 from typing import Any
@@ -26,6 +27,7 @@ from nptrace.table1_study.fit import (
     summary,
 )
 from nptrace.table1_study.knobs import BVH, KD, KNOBS, SCENE_KNOBS
+from nptrace.table1_study.presets import PRESETS
 
 OWN = ("builder", "layout", "reads")
 
@@ -439,8 +441,14 @@ def preset(cog: Any) -> None:
     cog.outl(
         f"The target is B/A within {TARGET[0]} points in the median row and {TARGET[1]:.0f} in the worst. It {on_all} met on "
         f"all rows; found on half of them it holds on the other half in {sum(halves)} of {len(halves)} halves. Found without "
-        f"a scene, it holds there under so many of its views: {', '.join(texts)}."
+        f"a scene, it holds there under so many of its measured views: {', '.join(texts)}."
     )
+    found = {tree: replace(study().base, **model.shared, **model.own[tree]) for tree in TREES}
+    named = next((name for name, settings in PRESETS.items() if settings == found), None)
+    if named is not None and all(halves):
+        cog.outl(
+            f"\nThat model is the preset `{named}`: `python -m nptrace.table1_study --preset {named}` prints its 32 rows."
+        )
 
 
 def answer(cog: Any) -> None:
