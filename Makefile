@@ -19,10 +19,10 @@ NOJIT := tests/nptrace/test_without_jit.py tests/rtrace/test_visit_rules.py::tes
 	tests/cachesim/test_replay.py::test_every_count_is_that_of_the_model \
 	tests/cachesim/test_sweep.py::test_cells_are_those_of_the_model tests/cachesim/test_opt.py::test_every_count_is_that_of_the_model
 PAGES := README.md docs/does-it-pay.md docs/table1.md docs/correctness.md docs/performance.md docs/speed-error.md \
-	docs/your-scene.md docs/metrics.md docs/model.md docs/commands.md docs/extending.md docs/scale.md
+	docs/your-scene.md docs/metrics.md docs/model.md docs/commands.md docs/extending.md docs/scale.md docs/study.md
 
 .DEFAULT_GOAL := help
-.PHONY: help test test-nojit bench lint wheel-check map pay-data pictures docs docs-check site correctness fuzz speed-error reproduce-table clean
+.PHONY: help test test-nojit bench lint wheel-check map study pay-data pictures docs docs-check site correctness fuzz speed-error reproduce-table clean
 
 help: ## Say what each target does
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-18s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -57,6 +57,11 @@ map: $(INSTALLED) ## Map where prefetching pays, on the four scenes, twenty minu
 	@test -n "$(ARGS)" || test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
 	$(BIN)/nptrace map bunny conference sibenik sponza --out $(VENV)/map $(or $(ARGS),-o $(VENV)/map.parquet --plot docs/map.png)
 	@test -n "$(ARGS)" || { $(BIN)/python docs/pay.py $(VENV)/map.parquet && $(BIN)/cog -r docs/does-it-pay.md; }
+
+study: $(INSTALLED) ## Measure every knob that Table I leaves open, twenty minutes on two cores, and write docs/study.md (ARGS=--quick: half a minute, writes nothing)
+	@test -n "$(ARGS)" || test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
+	$(BIN)/python -m nptrace.table1_study --threads $(THREADS) --out $(VENV)/study -o $(or $(and $(ARGS),$(VENV)/quick.parquet),docs/data/study.parquet) $(ARGS)
+	@test -n "$(ARGS)" || { $(BIN)/python docs/study_figures.py docs/data/study.parquet && $(BIN)/cog -r docs/study.md; }
 
 docs: $(INSTALLED) ## Write the figures of README.md and docs/ again (NPTRACE_SCENES must name the real scenes)
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }

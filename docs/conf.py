@@ -27,7 +27,7 @@ templates_path = ["templates"]
 MENU = {
     "Begin": ["docs/first-steps", "docs/your-scene", "docs/reading-a-run", "docs/storage", "docs/scale", "docs/python"],
     "Look up": ["docs/metrics", "docs/model", "docs/commands", "docs/api", "traces/README", "docs/glossary"],
-    "Results": ["docs/table1", "docs/does-it-pay", "docs/speed-error", "docs/performance"],
+    "Results": ["docs/table1", "docs/study", "docs/does-it-pay", "docs/speed-error", "docs/performance"],
     "Trust": ["docs/correctness", "docs/limits"],
     "Change it": ["docs/extending", "CONTRIBUTING", "docs/architecture", "CHANGELOG"],
 }

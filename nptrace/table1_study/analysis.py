@@ -11,7 +11,8 @@ from nptrace.table1_study.knobs import KNOBS, SCENE_KNOBS, Setting
 
 #: What a knob stands for in the causes of a row.
 CAUSES = {
-    "pixels": "resolution", "order": "order of rays", "batch": "order of rays", "builder": "tree", "light": "shadow rays",
+    "pixels": "resolution", "order": "order of rays", "batch": "order of rays", "packet": "packets", "shadow": "shadow rays",
+    "shadow_order": "shadow rays", "shadow_end": "shadow rays", "builder": "tree", "light": "shadow rays",
     "layout": "conflicts", "reads": "what is read", "prefetch": "prefetch unit", "flush": "flush", "policy": "conflicts",
     "camera": "camera", "version": "edition of the scene",
 }  # fmt: skip
@@ -122,7 +123,7 @@ def tornado(study: Study, tree: str, scene: str, name: str) -> list[Swing]:
 
 
 class Cause(NamedTuple):
-    """The single change of a knob that brings a figure of a row of the table nearest to the paper's.
+    """The change of one knob that brings a figure of a row of the table nearest to the paper's.
 
     Attributes
     ----------
@@ -152,13 +153,17 @@ class Cause(NamedTuple):
         return self.after - self.paper
 
 
+#: The default explains what is this near, in points: other settings change the figure by as much without a reason.
+NEAR = 0.5
+
+
 def causes(study: Study, name: str) -> list[Cause]:
-    """Return the cause of each row of the table for a figure."""
+    """Return the cause of each row of the table for a figure; none where the default is within ``NEAR``."""
     found = []
     for tree, scene, cache in cells():
         paper, usual = paper_table()[tree, scene, *cache][name], study.default(tree, scene, cache)
         best, knob = usual, ""
-        for each in (*KNOBS, *SCENE_KNOBS):
+        for each in () if abs(usual[name] - paper) <= NEAR else (*KNOBS, *SCENE_KNOBS):
             for row in study.alone(tree, scene, cache, each.name):
                 if row[name] is not None and abs(row[name] - paper) < abs(best[name] - paper):
                     best, knob = row, each.name

@@ -66,6 +66,20 @@ def summary(residuals: Sequence[Residual]) -> Summary:
     return Summary(median(points), max(points), 2 ** median(abs(each.miss) for each in residuals))
 
 
+#: How near a preset has to come: points of B/A in the median row, and in the worst.
+TARGET = (1.5, 4.0)
+
+
+def beyond_target(points: Sequence[float]) -> float:
+    """Return how far distances of B/A are beyond the target: 1 is just within it."""
+    return max(median(points) / TARGET[0], max(points) / TARGET[1])
+
+
+def is_within_target(found: Summary) -> bool:
+    """Return whether some rows are as near as a preset has to come."""
+    return found.median <= TARGET[0] and found.worst <= TARGET[1]
+
+
 class Fits:
     """All models of a study's rows.
 

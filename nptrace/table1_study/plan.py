@@ -42,15 +42,15 @@ class Combination(NamedTuple):
 
 
 #: The unit, with what a reader of the paper may take it for.
-_UNITS = ("stack:unlimited", "stack:unlimited:once", "stack:unlimited:restart", "stack:tris*1", "stack:tris*2", "stack:tris*4",
-          "stack:budget=1", "stack:budget=2")  # fmt: skip
-#: Those that the first look found near.
-_FEW_UNITS = ("stack:unlimited", "stack:unlimited:once", "stack:tris*1", "stack:tris*2")
+_USUAL_UNITS = ("stack:unlimited", "stack:unlimited:once", "stack:unlimited:restart", "stack:tris*1", "stack:tris*2",
+                "stack:budget=1", "stack:budget=2")  # fmt: skip
+_UNITS = (*_USUAL_UNITS[:5], "stack:tris*4", *_USUAL_UNITS[5:])
 
 _TILES: dict[str, Any] = {"order": "tile", "batch": 64}
-_SMALL_PACKETS = _TILES | {"packet": 64, "pixels": 256}
 #: Pixels, order, batch and packets: single rays; those of Manta's tiles; its packets, in small pictures and in its own.
-_RAYS: tuple[dict[str, Any], ...] = ({}, _TILES, {"packet": 4}, _SMALL_PACKETS, _TILES | {"packet": 64, "pixels": 512})
+_RAYS: tuple[dict[str, Any], ...] = (
+    {}, _TILES, {"packet": 4}, _TILES | {"packet": 64, "pixels": 256}, _TILES | {"packet": 64, "pixels": 512}
+)  # fmt: skip
 #: Shadow rays of hardware, and Manta's.
 _SHADOWS: tuple[dict[str, Any], ...] = ({}, {"shadow_order": "cheaper", "shadow_end": "drain"})
 
@@ -73,11 +73,11 @@ COMBINATIONS = (
     Combination(
         (KD,), False,
         {
-            "rays": ({}, _SMALL_PACKETS), "builder": ("", "coarse"), "layout": ("stored", "stored+8"),
-            "reads": ("own", "merged"), "prefetch": _FEW_UNITS,
+            "rays": _RAYS[:2], "builder": ("", "coarse"), "layout": ("stored", "stored+8"), "reads": ("own", "merged"),
+            "prefetch": (*_USUAL_UNITS, "stack:unlimited:empty"),
         },
     ),
-    Combination((BVH,), False, {"rays": ({}, _SMALL_PACKETS), "reads": ("own", "children"), "prefetch": _FEW_UNITS}),
+    Combination((BVH,), False, {"rays": _RAYS[:2], "reads": ("own", "children"), "prefetch": _USUAL_UNITS}),
 )  # fmt: skip
 
 #: For a test of the whole chain: two scenes, and on one of them the first values of some knobs.

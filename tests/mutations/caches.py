@@ -15,6 +15,9 @@ FOLD, PARTS = "tests/cachesim/test_summary.py", "tests/nptrace/test_parts.py"
 KT, KE, KS = "rtrace/trees/kdtree.py", "rtrace/trees/kd_events.py", "rtrace/trees/kd_sweep.py"
 CL, BV, SO = "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/merge_sort.py"
 
+READS_FLUSH, UNTIMED = "tests/cachesim/test_reads_and_flush.py", "tests/cachesim/policies/test_untimed.py"
+STUDY = "tests/nptrace/table1_study/test_study.py"
+
 MUTATIONS = [
     # --- sorting ---
     Mutation("sorting: the last run is not merged", SO, "for begin in range(0, n - run, 2 * run):", "for begin in range(0, n - 2 * run, 2 * run):", SORT),
@@ -181,4 +184,18 @@ MUTATIONS = [
     Mutation("by group: requests of a sequential prefetcher have no future line", "cachesim/by_group.py", "next_ids = lines + np.uint32(self._ahead) if self._ahead else lines", "next_ids = lines", "tests/cachesim/test_by_group.py"),
     Mutation("by group: a missing ray is not noticed", "cachesim/by_group.py", "and n_events and self._n_begun != self._of.size", "and n_events and self._n_begun > self._of.size", "tests/cachesim/test_by_group.py"),
     Mutation("by group: opt counts from the first access of a batch", "cachesim/by_group.py", "n_before = future.n_taken", "n_before = 0", "tests/cachesim/test_by_group.py"),
+    # --- what a visit reads, flushes, and the study of Table I ---
+    Mutation("flush: the cache stays warm", "cachesim/flush.py", "            if ray_of[line] != ray[0]:\n", "            if ray_of[line] < 0:\n", READS_FLUSH),
+    Mutation("flush: a renamed line goes to set 0", "cachesim/flush.py", "taken[residue] * n_sets + residue", "taken[residue] * n_sets", READS_FLUSH),
+    Mutation("flush: what is left unused stays resident", "cachesim/flush.py", "        result.useless += result.resident\n", "", READS_FLUSH),
+    Mutation("reads: a popped node's children are read again", "cachesim/reads.py", "if parent[node] == last[0] else", "if parent[node] >= 0 else", READS_FLUSH),
+    Mutation("reads: the second line of a node is kept too long", "cachesim/reads.py", "line + count <= last[0] + last[1]", "line < last[0] + last[1]", READS_FLUSH),
+    Mutation("reads: a request is merged", "cachesim/reads.py", "        if access_types[i] != REQUEST:\n            line", "        if True:\n            line", READS_FLUSH),
+    Mutation("stack: persist never moves up", "cachesim/policies/stack.py", "self.reset != PERSIST or self.pointer[slot] == machine.sp[slot] - 1", "self.reset != PERSIST", UNTIMED),
+    Mutation("stack: restart does not", "cachesim/policies/stack.py", "    if unit.reset == RESTART:\n", "    if False:\n", UNTIMED),
+    Mutation("stack: a push leaves the time of a pop running", "cachesim/policies/stack.py", "    def on_push(self, machine, slot):\n        if self.pop:\n", "    def on_push(self, machine, slot):\n        if False:\n", "tests/cachesim/policies/test_stack.py"),
+    Mutation("study: the first view of a scene is its best", "nptrace/table1_study/fit.py", "if scene not in found or total < found[scene][0]:", "if scene not in found:", STUDY),
+    Mutation("study: models are fitted to rows that are held out", "nptrace/table1_study/fit.py", "for each in rows.values() if is_known(each)]", "for each in rows.values()]", STUDY),
+    Mutation("study: prefetches are no accesses", "nptrace/table1_study/figures.py", "ratio(fills, accesses + prefetches)", "ratio(fills, accesses)", "tests/nptrace/table1_study/test_identities.py"),
+    Mutation("study: what the text contradicts counts", "nptrace/table1_study/figures.py", "    return not any(row[knob.name] in knob.unlikely for knob in KNOBS)\n", "    return True\n", STUDY),
 ]
