@@ -11,8 +11,6 @@ from cachesim.cache import (
     LOST,
     MISSES,
     PENDING,
-    PUSHED_OUT,
-    SHADOWED,
     TOUCHED,
     UNUSED,
     USEFUL,
@@ -121,9 +119,9 @@ class Exact:
         cache, n = self.cache, arrays["first_ids"].size
         cache.counts[:], cache.account[:], cache.facts[:] = arrays["counts"], arrays["account"], arrays["facts"]
         cache.first_ids[:n], cache.first_types[:n], cache.n_first[0] = arrays["first_ids"], arrays["first_types"], n
-        write_rings(arrays["order"], cache.lists)
+        write_rings(arrays["order"].copy(), cache.lists)  # from a file it is read-only, to Numba another type
         if cache.three_c:
-            write_rings(arrays["shadow"], cache.shadow)
+            write_rings(arrays["shadow"].copy(), cache.shadow)
 
 
 @kernel(_nrt=False)
@@ -150,14 +148,11 @@ def replay_first(ids, types, later, n_seen, cache):
             access(cache, line_id, line_id, access_type)
             if access_type & PREFETCH:
                 settle(cache, line_id, later[line_id])
-        else:  # decided: a miss that the later part's own lists have seen
+        else:  # decided: a miss that the later part's own lists and facts have seen
             fact = cache.facts[line_id]
-            now = fact | TOUCHED
             if cache.three_c:
                 shadow_access(cache, line_id, fact)
-                now |= SHADOWED
             count_miss(cache, line_id, fact, access_type)
-            cache.facts[line_id] = now & (255 - PUSHED_OUT)
 
 
 @kernel(_nrt=False, forceinline=True)

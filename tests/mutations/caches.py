@@ -146,7 +146,7 @@ MUTATIONS = [
     Mutation("fold: a redundant prefetch keeps its eviction", ET, "        cache.account[USELESS] -= 1\n", "        pass\n", f"{FOLD} -k account"),
     Mutation("fold: a redundant prefetch still waits", ET, "if found & PENDING and not fact & UNUSED:", "if False:", f"{FOLD} -k account"),
     Mutation("fold: an earlier fill does not get the later fate", ET, "if fact & PENDING and not found & PENDING:", "if False:", f"{FOLD} -k account"),
-    Mutation("fold: a miss in a full set forgets who pushed the line out", ET, "            cache.facts[line_id] = now & (255 - PUSHED_OUT)", "            cache.facts[line_id] = now", f"{FOLD} -k account"),
+    Mutation("fold: the shadow does not see misses in full sets", ET, "                shadow_access(cache, line_id, fact)\n", "                pass\n", f"{FOLD} -k account"),
     Mutation("fold: open accesses are walked from the first level", LE, "np.uint64(from_levels[i]), levels)", "ZERO, levels)", f"{FOLD} -k associat"),
     Mutation("fold: open at its first level alone", LE, "np.cumsum(opened, axis=0)", "opened", f"{FOLD} -k associat"),
     Mutation("fold: the order of last accesses is that of the first", RE, 'whole._use(arrays["order"])', 'whole._use(arrays["first_ids"])', f"{FOLD} -k stack"),

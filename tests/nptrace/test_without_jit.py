@@ -21,6 +21,9 @@ npcache replay runs/ball-bvh --size 512 --ways 4 --line 64 --policy opt,fifo,ran
 npcache replay runs/ball-bvh --size 1K --ways 2 --layout veb,treelet:256 --prefetch next-line:tagged --json
 npcache sweep runs/ball-kdtree runs/ball-bvh --size 512..4K --ways 1..16,full --line 32
 npcache sweep runs/ball-kdtree --size 512..4K --ways 1..4 --layout bfs --prefetch traced,stack:tris*2
+npcache summarise runs/ball-bvh --part 1/2 --size 1K --ways 2,full --prefetch none,stack --3c -o 1.sum
+npcache summarise runs/ball-bvh --part 2/2 --size 1K --ways 2,full --prefetch none,stack --3c -o 2.sum
+npcache combine 1.sum 2.sum --json
 npcache estimate ball.obj --size 1K --ways 2 --pixels 24x16 --json
 nptrace check ball.obj --pixels 8x8 --random 50 --json
 nptrace export runs/ball-kdtree -o ball.din

@@ -47,6 +47,11 @@ run(cli.npcache, "replay", "--3c", "--layout", "veb,bfs,dfs,treelet:256", "--pre
 run(cli.npcache, "replay", "blob-bvh.din", "--line", "8,32")
 run(cli.npcache, "sweep", "--ways", "1..24,full", "--prefetch", "traced,stack")
 run(cli.npcache, "replay", "--assoc", "1,2,4", "--policy", "opt")
+for part in "12":
+    run(cli.npcache, "summarise", "traces/blob-bvh", "--part", f"{part}/2", "--assoc", "1,2,4,full", "-o", f"{part}.sum")
+    run(cli.npcache, "summarise", "traces/blob-bvh", "--part", f"{part}/2", "--3c", "-o", f"3c-{part}.sum")
+run(cli.npcache, "combine", "1.sum", "2.sum")
+run(cli.npcache, "combine", "3c-1.sum", "3c-2.sum")
 run(cli.npcache, "time", "--size", "1K", "--rays", "4", "--layout", "veb", "--by", "slot", "--timeline", "t.json", *one)
 run(cli.npcache, "replay", "--by", "pixel", "--line", "16,32", "--prefetch", "none,traced,stack,next-line:tagged")
 run(cli.npcache, "replay", "--by", "level", "--assoc", "2", "--policy", "lru,opt,random", "--3c")
