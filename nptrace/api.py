@@ -259,12 +259,13 @@ def time(
 def compare(
     sources: Sources = (), /, *, traces: Place | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "all", layout: str = "stored",
-    baselines: bool = True, threads: int | None = None, **numbers: Unpack[MachineOptions],
+    baselines: bool = True, workers: "int | Executor" = 0, scheduler: str | None = None, threads: int | None = None,
+    **numbers: Unpack[MachineOptions],
 ) -> Results:  # fmt: skip
     """Compare prefetch policies on one cache and machine, with what needs no unit, as ``npcache compare`` does.
 
     The parameters are those of ``time``, for one cache and one machine; without ``baselines``, line sizes, alignments and node
-    orders are not compared.
+    orders are not compared. Workers are those of ``replay``, and take whole runs.
     """
     from cachesim.report import compare_tables
     from nptrace.clock_options import one_machine
@@ -272,8 +273,10 @@ def compare(
 
     config, clock = one_machine(machines_plan(machine, size, ways, line, policy, seed, numbers))
     policies, chosen = listed("prefetch", prefetch, str), _chosen(sources, traces)
-    with Progress(len(chosen)) as bar:
-        rows = compared(chosen, config, clock, policies, layout, bar, baselines=baselines, threads=threads)
+    with engine_of(workers, scheduler) as engine, Progress(1 if engine else len(chosen)) as bar:
+        rows = compared(
+            chosen, config, clock, policies, layout, bar, baselines=baselines, threads=threads, engine=engine
+        )  # fmt: skip
     return Results("compare", [row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
 
 
@@ -329,7 +332,7 @@ def estimate(
 
 def table1(
     sources: Sources = (), /, *, traces: Place | str = "traces", policy: str = "lru", layout: str = "stored", n: str = "paper",
-    hit: int = 1, miss: int = 100, threads: int | None = None,
+    hit: int = 1, miss: int = 100, workers: "int | Executor" = 0, scheduler: str | None = None, threads: int | None = None,
 ) -> Results:  # fmt: skip
     """Return Table I of the paper beside ours from existing runs, as ``npcache table1`` does.
 
@@ -339,6 +342,8 @@ def table1(
         Accesses per ray in the ACPR: ``"paper"``, ``"measured"``, or the kd-tree's and the BVH's, ``"15.77,27"``.
     hit, miss : int
         Cycles of a hit and of a miss, in the ACPR and in time; from 1.
+    workers, scheduler
+        Those of ``replay``; each worker takes whole runs.
     """
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
@@ -349,8 +354,10 @@ def table1(
             raise NptraceError(f"{name}: {cycles!r} is no number of cycles; write a whole number from 1")
     equation = table.Equation(hit, miss, table.parse_n(n))
     runs = [each if isinstance(each, Run) else open_run(each) for each in _chosen(sources, traces)]
-    with Progress() as bar:
-        rows = table1_rows(table1_runs(runs, traces), bar, policy=policy, layout=layout, equation=equation, threads=threads)
+    with engine_of(workers, scheduler) as engine, Progress() as bar:
+        rows = table1_rows(
+            table1_runs(runs, traces), bar, policy=policy, layout=layout, equation=equation, threads=threads, engine=engine
+        )  # fmt: skip
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
 
 

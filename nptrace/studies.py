@@ -195,13 +195,18 @@ def timed(
 
 def compared(
     sources: Sequence[Where], config: "CacheConfig", clock: "Clock", prefetches: Sequence[str], layout: str, bar: Progress,
-    *, baselines: bool = True, threads: int | None = None,
+    *, baselines: bool = True, threads: int | None = None, engine: "Engine | None" = None,
 ) -> "list[Compared]":  # fmt: skip
     """Compare the policies (``all``: the usual ones) on one cache and machine, run by run."""
     from cachesim.clock.compare import compare, usual_policies
+    from nptrace.run_tasks import compare_run, run_by_run
     from traces.reader import open_run
 
     names = [name for text in prefetches for name in (usual_policies() if text == "all" else [text])]
+    if engine is not None:
+        bar.job("all runs")
+        arguments = [(config, clock, names, layout, baselines)] * len(sources)
+        return run_by_run(engine, compare_run, sources, arguments, bar.phase("compare", len(sources)))
     rows: list[Compared] = []
     for source in sources:
         run = source if isinstance(source, Run) else open_run(source)
@@ -215,12 +220,18 @@ def compared(
 
 def table1_rows(
     chosen: dict[tuple[str, str], Run], bar: Progress, *, policy: str = "lru", layout: str = "stored",
-    equation: "Equation | None" = None, threads: int | None = None,
+    equation: "Equation | None" = None, threads: int | None = None, engine: "Engine | None" = None,
 ) -> "list[Table1Row]":  # fmt: skip
     """Return Table I for the runs that ``table1.choose_runs`` found."""
-    from cachesim.report.table1 import table1
+    from cachesim.report.table1 import in_order, table1
+    from nptrace.run_tasks import run_by_run, table1_of_run
 
     bar.job("Table I")
+    if engine is not None:
+        keys = in_order(chosen)
+        advance = bar.phase("replay and time", len(keys))
+        arguments = [(key, policy, layout, equation) for key in keys]
+        return run_by_run(engine, table1_of_run, [chosen[key] for key in keys], arguments, advance)
     advance = bar.phase("replay and time", 2 * sum(run.n_accesses for run in chosen.values()))
     return table1(chosen, policy=policy, layout=layout, equation=equation, threads=threads, progress=advance)
 

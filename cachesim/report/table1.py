@@ -169,6 +169,11 @@ def missing(chosen: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     return [(tree, scene) for tree in TREES for scene in SCENES if (tree, scene) not in have]
 
 
+def in_order(chosen: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return (tree, scene) pairs in the order of the paper."""
+    return sorted(chosen, key=lambda key: (list(TREES).index(key[0]), key[1]))
+
+
 def table1(
     chosen: Mapping[tuple[str, str], Run], *, policy: str = "lru", layout: str = "stored", equation: Equation | None = None,
     threads: int | None = None, progress: Callable[[int], None] | None = None,
@@ -182,7 +187,8 @@ def table1(
     clock = PRESETS["paper"].clock.with_numbers(hit=equation.hit, miss=equation.miss)
     paper = paper_table()
     rows = []
-    for (tree, scene), run in sorted(chosen.items(), key=lambda item: (list(TREES).index(item[0][0]), item[0][1])):
+    for tree, scene in in_order(chosen):
+        run = chosen[tree, scene]
         keys = [key for key in paper if key[:2] == (tree, scene)]
         configs = [CacheConfig(size, ways, 32, policy) for _, _, size, ways in keys]
         source = as_source(run, layout)

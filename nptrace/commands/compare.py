@@ -7,7 +7,7 @@ import click
 
 from nptrace.clock_options import Machines, machine_options, machine_sources, one_machine
 from nptrace.groups import Command
-from nptrace.options import list_option, threads_option
+from nptrace.options import list_option, threads_option, workers_options
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, policies, traces_option
@@ -28,11 +28,12 @@ from nptrace_base.places import Place
     "--baselines/--no-baselines", default=True, show_default=True, help="Compare line sizes, alignments and node orders."
 )
 @threads_option()
+@workers_options
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()
 def compare(
     sources: tuple[Place, ...], folder: Place, machines: Machines, prefetch: list[str], layout: str, baselines: bool,
-    threads: int, picture: Path | None, output: Output,
+    workers: int, scheduler: str | None, threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Compare all prefetch policies on one cache and machine, in cycles, with their bound and with what needs no unit.
 
@@ -45,14 +46,15 @@ def compare(
     from cachesim.report.bars import draw_speed_ups
     from cachesim.report.pictures import check_plot
     from nptrace.studies import compared
+    from nptrace_base.engines import engine_of
 
     config, clock = one_machine(machines)
     if picture is not None:
         check_plot(picture)
     paths, began = chosen_sources(sources, folder), time.perf_counter()
-    with Progress(len(paths)) as bar:
+    with engine_of(workers, scheduler) as engine, Progress(1 if engine else len(paths)) as bar:
         rows = compared(
-            paths, config, clock, prefetch, layout, bar, baselines=baselines, threads=threads
+            paths, config, clock, prefetch, layout, bar, baselines=baselines, threads=threads, engine=engine
         )  # fmt: skip
         if picture is not None:
             bar.phase("plot")

@@ -8,7 +8,7 @@ import click
 
 from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.groups import BadInput
-from nptrace.options import gathered, threads_option
+from nptrace.options import gathered, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
@@ -57,11 +57,12 @@ class Acpr:
 @click.option("--hit", type=click.IntRange(1), default=1, show_default=True, help="Cycles of a hit, in the ACPR and in time.")
 @click.option("--miss", type=click.IntRange(1), default=100, show_default=True, help="Cycles of a miss, likewise.")
 @threads_option()
+@workers_options
 @results_options()
 @gathered("equation", Acpr)
 def table1(
     sources: tuple[Place, ...], folder: Place, error: str | None, pixels: str, seed: int, policy: str, layout: str,
-    equation: Acpr, threads: int, output: Output,
+    equation: Acpr, workers: int, scheduler: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Print Table I of the paper beside ours, from existing runs or estimated for large pictures.
 
@@ -75,6 +76,7 @@ def table1(
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
     from nptrace.studies import table1_rows, table1_runs
+    from nptrace_base.engines import engine_of
     from traces.reader import open_run
 
     parse_layout(layout)
@@ -82,12 +84,14 @@ def table1(
     if error is not None:
         if equation != Acpr():
             raise BadInput("--target-error has the paper's equation; leave out --n, --hit and --miss, or give runs")
+        if workers or scheduler:
+            raise BadInput("--target-error has threads alone; leave out --workers and --scheduler, or give runs")
         estimated_table1(Sampling(error, threads=threads), Picture(pixels=pixels, seed=seed), policy, layout, output)
         return
     chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
     began = time.perf_counter()
-    with Progress() as bar:
-        rows = table1_rows(chosen, bar, policy=policy, layout=layout, equation=numbers, threads=threads)
+    with engine_of(workers, scheduler) as engine, Progress() as bar:
+        rows = table1_rows(chosen, bar, policy=policy, layout=layout, equation=numbers, threads=threads, engine=engine)
     for tree, scene in table.missing(chosen):
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))

@@ -1,0 +1,44 @@
+"""compare and table1 by workers, which take whole runs: the rows are those of one process."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from click.testing import CliRunner
+
+import cli
+import nptrace as nt
+from tests.nptrace.test_terminal import inputs
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    inputs(tmp_path)
+    return tmp_path
+
+
+def test_rows_are_those_of_one_process(folder):
+    runs = sorted(str(path) for path in folder.glob("traces/*-*"))
+    with ThreadPoolExecutor(2) as workers:
+        compared = nt.compare(runs, prefetch="push", baselines=False, workers=workers)
+        table = nt.table1(workers=workers, n="measured", miss=50)
+    assert len(compared) >= 2
+    assert list(compared) == list(nt.compare(runs, prefetch="push", baselines=False))
+    assert list(table) == list(nt.table1(n="measured", miss=50))
+    assert [row["run"] for row in compared] != [compared[0]["run"]] * len(compared)
+
+
+@pytest.mark.slow
+def test_processes_find_the_runs(folder):
+    def printed(*more):
+        done = CliRunner().invoke(cli.npcache, ["compare", "traces/bunny-bvh", "--prefetch", "push", "--json", *more])
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    assert printed("--no-baselines", "--workers", "1") == printed("--no-baselines")
+
+
+def test_an_estimated_table_has_no_workers(folder):
+    done = CliRunner().invoke(cli.npcache, ["table1", "--target-error", "5%", "--workers", "2"])
+    assert done.exit_code == 2
+    assert "--target-error has threads alone; leave out --workers and --scheduler, or give runs" in done.stderr
