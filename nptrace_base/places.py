@@ -37,6 +37,9 @@ _FROM = {
 
 _URI = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/(/?)(.*)", re.DOTALL)
 
+#: Characters of what a store answers that a message repeats.
+_REASON = 300
+
 #: Bytes of one request when a large file is copied.
 _PIECE = 1 << 26
 
@@ -247,8 +250,14 @@ def _asked(remote: Remote, what: str) -> Iterator[None]:
         yield
     except (FileNotFoundError, NptraceError):
         raise
-    except (OSError, ValueError, NotImplementedError) as e:  # ValueError: Arrow's, of addresses it does not take
+    except Exception as e:
+        from pyarrow import ArrowException
+
+        if not isinstance(e, (OSError, ArrowException)):
+            raise
         reason = (str(e) or type(e).__name__).splitlines()[0]
+        if len(reason) > _REASON:
+            reason = f"{reason[:_REASON]} ..."
         raise PlaceError(f"cannot {what} {remote}: {reason}; check the address, and the keys in the environment") from e
 
 

@@ -90,6 +90,7 @@ def plain(text):
 RENDER = "nptrace render blob --accel bvh --pixels 24x20 --order hilbert --json --out"
 
 
+@pytest.mark.slow
 def test_every_command_reads_and_writes_there(requests, small_parts, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     local = json.loads(run(f"{RENDER} here").stdout)[0]
@@ -115,14 +116,12 @@ def test_every_command_reads_and_writes_there(requests, small_parts, tmp_path, m
     info = json.loads(run(f"nptrace info {far['path']} --json").stdout)[0]
     assert (info["n_bytes"], info["path"]) == (far["n_bytes"], far["path"])
     assert info["n_events"] == local["n_accesses"] + local["n_prefetches"]
-    for command in (
-        "nptrace export RUN -o OUT.din", "nptrace view RUN -o OUT.png", "nptrace view RUN --heat misses -o OUT2.png",
-        "npcache plot RUN -o OUT3.png", "npcache report RUN -o OUT.html",
-    ):  # fmt: skip
-        for of, out in ((local, "local"), (far, "far")):
-            run(command.replace("RUN", of["path"]).replace("OUT", out))
-    for name in (".din", ".png"):
-        assert (tmp_path / f"local{name}").read_bytes() == (tmp_path / f"far{name}").read_bytes()
+    for command, name in (("nptrace export", "x.din"), ("nptrace view", "x.png")):
+        for of in (local, far):
+            run(f"{command} {of['path']} -o {of['path'][:2]}-{name}")  # he(re) or s3
+        assert (tmp_path / f"he-{name}").read_bytes() == (tmp_path / f"s3-{name}").read_bytes()
+    for command in ("nptrace view RUN --heat misses -o x.png", "npcache plot RUN -o y.png", "npcache report RUN -o x.html"):
+        run(command.replace("RUN", far["path"]))
 
 
 def test_table1_finds_its_runs_there(requests):
@@ -171,8 +170,9 @@ def test_an_exception_while_writing_publishes_nothing(requests):
     with pytest.raises(RuntimeError, match="stop"):
         place("s3://runs/a/manifest.json").publish(pieces())
     assert stored() == {}
-    assert ("PUT", "runs/a/manifest.json") not in requests
-    assert any(what == "PUT" and path.endswith(".upload") for what, path in requests)  # it was, under another name
+    written = [path.partition("?")[0] for what, path in requests if what in ("PUT", "POST")]
+    assert "runs/a/manifest.json" not in written
+    assert any(path.endswith(".upload") for path in written)  # it was, under another name
 
 
 def test_no_key_is_in_a_file_or_a_message(requests, tmp_path):

@@ -3,6 +3,7 @@
 import pickle
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 import nptrace_base.places as places
@@ -118,12 +119,15 @@ def test_an_exception_while_writing_publishes_nothing(bucket, tmp_path, where, b
     assert sizes(file.parent) == ({} if before is None else {"manifest.json": len(before)})
 
 
-def test_what_a_store_answers_is_one_sentence(bucket, monkeypatch):
+@pytest.mark.parametrize("error", [OSError, pa.ArrowException, pa.ArrowInvalid, pa.ArrowNotImplementedError])
+def test_what_a_store_answers_is_one_sentence(bucket, monkeypatch, error):
+    """Azure's errors are Arrow's own, and Google's have a thousand characters."""
+
     class Down:
         type_name = "s3"
 
         def __getattr__(self, name):
-            raise OSError("AWS Error NETWORK_CONNECTION during HeadObject operation\nand more")
+            raise error(f"AWS Error NETWORK_CONNECTION during HeadObject operation{'.' * 900}\nand more")
 
     monkeypatch.setattr(places, "filesystem_of", lambda scheme, authority, query: (Down(), authority))
     for what, ask in (("read", bucket.exists), ("list", bucket.sizes), ("read", bucket.read_bytes),
@@ -131,8 +135,8 @@ def test_what_a_store_answers_is_one_sentence(bucket, monkeypatch):
         with pytest.raises(PlaceError) as found:
             ask()
         assert str(found.value) == (
-            f"cannot {what} s3://bucket: AWS Error NETWORK_CONNECTION during HeadObject operation; check the address, and the "
-            "keys in the environment"
+            f"cannot {what} s3://bucket: AWS Error NETWORK_CONNECTION during HeadObject operation{'.' * 244} ...; check the "
+            "address, and the keys in the environment"
         )
 
 
