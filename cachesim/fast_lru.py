@@ -14,7 +14,8 @@ from cachesim.access import N_ACCESS_TYPES
 from cachesim.config import CacheConfig
 from nptrace_base.jit import inlined, kernel
 
-#: The most ways for which moving an array costs less than the linked lists of ``replacement``.
+#: The most ways for which moving an array costs less than the linked lists of ``replacement``: 0.4 to 0.7 of the time with
+#: 4 and 8 ways, 0.4 (64K) to 1.0 (8K) with 16, 0.5 to 1.5 with 32.
 MAX_WAYS = 16
 
 

@@ -1,5 +1,6 @@
 """The exact replay against an obvious model, and laws that hold for every trace."""
 
+import os
 import subprocess
 import sys
 from itertools import pairwise
@@ -249,7 +250,7 @@ def test_memory_does_not_grow_with_the_trace(tmp_path, form, rows):
     # Threads overlap otherwise from one replay to the next, so the first does not yet show the peak of a short trace.
     *_, short, long = measure([*paths[:1] * 3, paths[1]])
     assert long < short + 30, "MB"  # one uint32 for each access more would be 32 at least
-    assert long < 300, "MB"
+    assert long < 300 + 30 * (os.cpu_count() or 1), "MB"  # each thread has a part of a run, and so batches of its own
 
 
 # The exact filter

@@ -260,7 +260,7 @@ def test_what_is_no_part(runs, tmp_path, part):
 def test_the_script_of_the_page(runs, tmp_path):
     """The loop of docs/scale.md, whose job array is here a loop."""
     text = (ROOT / "docs" / "scale.md").read_text(encoding="utf-8")
-    script = re.search(r"```bash\n(#!/bin/bash\n.*?)```", text, re.DOTALL)
+    script = re.search(r"```sh\n(#!/bin/bash\n.*?)```", text, re.DOTALL)
     assert script is not None and len(script[1].splitlines()) <= 10
     script = (
         script[1]
