@@ -126,7 +126,7 @@ def test_the_paper_implies_its_traces():
     ):
         paper = implied(tree, scene)
         assert paper.accesses[0] < paper.accesses[1]
-        assert paper.p[0] < paper.p[1] + 0.0005  # kd-tree Bunny's rows disagree by a fourth digit
+        assert paper.p[0] < paper.p[1] + 0.005  # the printed B/A of two rows disagree by a third digit of p
         assert sum(paper.accesses) / 2000 == pytest.approx(accesses, rel=0.005)
     assert split(80, 100) == (20, 0)
     assert split(80, 95) == pytest.approx((100 - 8000 / 95, 8000 / 95 - 80))
