@@ -271,9 +271,10 @@ def n_and_ratios(cog: Any) -> None:
         ours = [study().default(tree, scene, CACHES[0]) for scene in SCENES]
         per_ray = [f"{row['demand_accesses'] / row['rays']:.1f}" for row in ours]
         cog.outl(
-            f"- N = {PAPER_N[tree]:.2f} ({TREES[tree]}): A / N is {', '.join(f'{each / 1000:.1f}k' for each in rays)} rays "
-            f"({', '.join(SCENES)}), a factor of {max(rays) / min(rays):.1f} apart. One picture size with one or two rays a "
-            f"pixel allows a factor of 2. So N is not the mean of these traces. Ours, by default: {', '.join(per_ray)}."
+            f"- N = {PAPER_N[tree]:.2f} ({TREES[tree]}): A / N is {', '.join(f'{each / 1000:.1f}k' for each in rays)} "
+            f"rays ({', '.join(SCENES)}), a factor of {max(rays) / min(rays):.1f} apart. One picture size with one or two "
+            "rays a pixel allows a factor of 2. So N is not the mean of these traces of single rays. Ours, by default: "
+            f"{', '.join(per_ray)}."
         )
     texts = []
     for scene in SCENES:
@@ -286,7 +287,7 @@ def _ratios(scene: str) -> list[str]:
     """Return the paper's ratio of BVH accesses to those of the kd-tree, ours, and the range over views and rays."""
     paper = [sum(implied(tree, scene).accesses) for tree in (BVH, KD)]
     usual = [study().default(tree, scene, CACHES[0])["demand_accesses"] for tree in (BVH, KD)]
-    names = ("version", "camera", "pixels", "order", "batch", "light")
+    names = ("version", "camera", "pixels", "order", "batch", "packet", "shadow", "shadow_order", "shadow_end", "light")
     found: dict[tuple[Any, ...], dict[str, set[int]]] = {}
     for tree in (BVH, KD):
         for row in study().of_cell(tree, scene, CACHES[0]):
@@ -475,7 +476,10 @@ def answer(cog: Any) -> None:
         "- **Two rows are not.** The direct-mapped rows of kd-tree Bunny save lines, and prefetching cannot save a line in a "
         "direct-mapped cache."
     )
+    above = sum(value > 5 for value in saved)
+    printed = median(100 - row["miss_ratio"] for row in rows)
     cog.outl(
-        f"- **No reading makes the kd-tree's unit worth building.** It saves {median(saved):.1f} % of the demand misses in "
-        f"the median plausible row and {max(saved):.1f} % at best."
+        f"- **The kd-tree's unit saves little under nearly every reading.** It saves {median(saved):.1f} % of the demand "
+        f"misses in the median plausible row, where the paper's metric prints {printed:.1f} %; more than 5 % in "
+        f"{100 * above / len(rows):.0f} % of the rows. A BVH's unit saves more, because all that waits on its stack is read."
     )

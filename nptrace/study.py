@@ -35,8 +35,12 @@ Record = dict[str, Any]
 TOP = {"out": "traces"}
 #: The options of packets and of shadow rays, in the order of ``Shooting``.
 KNOBS = "packet", "shadow", "shadow_order", "shadow_end"
+#: The options of replay that choose no caches, policies or layouts.
+HOW = ("three_c", "reads", "flush")
 #: The tables of stage 2, and the keys of their functions that a study has no use for.
-SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), ("sources", "traces", "threads", "workers", "by", "numbers")
+SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), (
+    "sources", "traces", "threads", "workers", "scheduler", "by", "numbers"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -174,7 +178,7 @@ def _with_knob(name: str, value: Any) -> "Shooting":
 
 def _plan(name: str, values: Mapping[str, Any]) -> Any:
     """Return the caches or machines, the prefetch policies and the layouts of a section."""
-    given = {key: value for key, value in values.items() if key != "three_c" and value is not None}
+    given = {key: value for key, value in values.items() if key not in HOW and value is not None}
     plan: Callable[..., Any] = getattr(plans, f"{name}_plan")
     return plan(**given)
 
@@ -308,7 +312,7 @@ class _Part:
         from traces.identity import COLUMNS
 
         section = self.study.sections[self.name]
-        how = {name: section[name] for name in ("three_c", "reads", "flush") if section.get(name)}
+        how = {name: section[name] for name in HOW if section.get(name)}
         asked = [self.run.footer.to_json().decode(), str(self.run.path), self.name, repr(self.of), self.layout,
                  [*self.prefetches], how]  # fmt: skip
         path = self.study.out / f"study-{hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:16]}.parquet"

@@ -156,7 +156,7 @@ def test_reprs_are_short_and_html_is_escaped(folder):
     run = nt.open("a<b>/x&y")
     assert repr(run) == f"<Run a<b>/x&y: bunny (stand-in), bvh, {run.identity.pixels}, 200 rays, {run.n_accesses:,} accesses>"
     results = nt.replay(run)
-    assert repr(results) == "<Results of replay: 1 row of 1 run, 41 columns>"
+    assert repr(results) == "<Results of replay: 1 row of 1 run, 43 columns>"
     for text in (run._repr_html_(), results._repr_html_()):
         assert "x&amp;y" in text and "x&y" not in text and text.count("<table>") >= 1
     assert "data:image/png;base64," in run._repr_html_()

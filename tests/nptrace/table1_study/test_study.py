@@ -87,11 +87,18 @@ def test_a_planted_model_is_found_and_held_to_other_rows():
 
 
 def test_a_model_that_fits_half_of_the_rows_by_chance_is_found_out():
+    """The default is right on one half and 8 points off on the other; ``budget=1`` is 3 points off everywhere."""
     half = CACHES[0], CACHES[3]
-    rows = planted(lambda setting, view, cell: 0.0 if cell[2] in half else 8.0, settings=[Setting()])
+
+    def off(setting, view, cell):
+        if setting.prefetch == "stack:budget=1":
+            return 3.0
+        return 0.0 if cell[2] in half else 8.0
+
+    rows = planted(off, settings=[Setting(), Setting(prefetch="stack:budget=1")])
     first, second = held_out_by_cache(Fits(rows, ("builder",)))
     assert (first[1].worst, first[2].worst) == pytest.approx((0, 8), abs=1e-9)
-    assert (second[1].worst, second[2].worst) == pytest.approx((8, 0), abs=1e-9)
+    assert (second[1].worst, second[2].worst) == pytest.approx((3, 3), abs=1e-9)
 
 
 def test_ranges_swings_and_causes_are_those_planted():
@@ -126,7 +133,7 @@ def test_the_paper_implies_its_traces():
     ):
         paper = implied(tree, scene)
         assert paper.accesses[0] < paper.accesses[1]
-        assert paper.p[0] < paper.p[1] + 0.0005  # kd-tree Bunny's rows disagree by a fourth digit
+        assert paper.p[0] < paper.p[1] + 0.005  # the printed B/A of two rows disagree by a third digit of p
         assert sum(paper.accesses) / 2000 == pytest.approx(accesses, rel=0.005)
     assert split(80, 100) == (20, 0)
     assert split(80, 95) == pytest.approx((100 - 8000 / 95, 8000 / 95 - 80))
