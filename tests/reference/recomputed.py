@@ -50,7 +50,7 @@ def values_of(run, tree, config, prefetch, base=0):
     return {
         "size_bytes": config.size_bytes, "ways": config.ways, "line_bytes": config.line_bytes, "policy": config.policy,
         "policy_seed": config.seed if config.policy == "random" else None,
-        "prefetch": prefetch, "layout": f"stored+{base}" if base else "stored",
+        "prefetch": prefetch, "layout": f"stored+{base}" if base else "stored", "reads": "own", "flush": "never",
         "demand_accesses": demand, "demand_misses": demand_misses, "prefetch_accesses": requests, "prefetch_misses": filled,
         **{kind: sum(full.counts[kind][:8]) for kind in ("compulsory", "capacity", "conflict")},
         "redundant": requests - filled, "filled": filled, "useful": full.useful, "useless": full.useless,
