@@ -28,7 +28,7 @@ MUTATIONS = [
     Mutation("estimate claims: seconds of counting alone", ES, "seconds = time.perf_counter() - call.start", "seconds = counts.work.wall_s", f"{CLAIMS} -k seconds"),
     Mutation("estimate claims: seconds and exact seconds swapped", ES, "seconds=seconds, exact_seconds=exact_seconds)\n", "seconds=exact_seconds, exact_seconds=seconds)\n", f"{CLAIMS} -k seconds"),
     Mutation("estimate claims: seconds of an exact run without the abandoned sample", ES, "seconds=end - call.start, exact_seconds=end - before", "seconds=end - before, exact_seconds=end - call.start", f"{CLAIMS} -k everything_once"),
-    Mutation("estimate claims: pre-fetches cost nothing", SA, "found.totals[[ACCESSES, PREFETCHES]].sum()", "found.totals[[ACCESSES]].sum()", f"{CLAIMS} -k seconds"),
+    Mutation("estimate claims: prefetches cost nothing", SA, "found.totals[[ACCESSES, PREFETCHES]].sum()", "found.totals[[ACCESSES]].sum()", f"{CLAIMS} -k seconds"),
     Mutation("estimate claims: a call costs nothing", "cachesim/sampling/work.py", "return x * each + n * max((self.y - each * self.x) / self.n, 0.0)", "return x * each", f"{CLAIMS} -k line_through"),
     Mutation("estimate claims: other programs do not slow the exact run", "cachesim/sampling/work.py", "return cpu * self.wall_s / max(self.tracing.y + self.replaying.y, 1e-9)", "return cpu", f"{CLAIMS} -k line_through"),
     # --- seeds, batches, parts ---
@@ -48,7 +48,7 @@ MUTATIONS = [
     Mutation("estimate claims: a figure without a bound is printed", SA, "is_within = widest <= 1 and is_stated and not flags", "is_within = widest <= 1 and not flags", f"{CLAIMS} -k without_a_bound"),
     Mutation("estimate claims: open misses are misses to judge by", SA, "seen = sample.known.sum(axis=0) + share * sample.unknown.sum(axis=0)", "seen = (sample.known + sample.unknown).sum(axis=0)", f"{CLAIMS} -k turn_out"),
     Mutation("estimate claims: any sample is drawn", SA, "if least > MOST_SHARE * self._counts.n_positions:", "if least > 60 * self._counts.n_positions:", f"{CLAIMS} -k more_than_it_saves"),
-    Mutation("estimate claims: pre-fetches come evenly", QU, "_BURSTS = 4.0", "_BURSTS = 0.25", f"{CLAIMS} -k bursts"),
+    Mutation("estimate claims: prefetches come evenly", QU, "_BURSTS = 4.0", "_BURSTS = 0.25", f"{CLAIMS} -k bursts"),
     Mutation("spread: steps leave no variance", SP, "_STEP = 1 / 12", "_STEP = 0.0", SPREAD),
     Mutation("spread: a stratum's neighbours do not count", SP, "return np.maximum(own, factor @ expected)", "return own", SPREAD),
     Mutation("spread: what the strata saw themselves does not count", SP, "return np.maximum(own, factor @ expected)", "return factor @ expected", f"{SPREAD} -k by_hand"),

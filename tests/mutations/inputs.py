@@ -61,7 +61,7 @@ MUTATIONS = [
     Mutation("din: records past 2^32 are read", DI, "> np.uint64(1 << 32):", "> np.uint64(1 << 33):", DIN),
     Mutation("din: a record that ends at 2^32 is refused", DI, "> np.uint64(1 << 32):", ">= np.uint64(1 << 32):", DIN),
     Mutation("din: a label may not have 0x", DI, "        if text[i] != 10:\n            if text[i] == 48 and (text[i + 1] == 120 or text[i + 1] == 88):\n                i += 2\n", "        if text[i] != 10:\n", f"{DIN} {STREAMS}"),
-    Mutation("din: no warning of pre-fetches that span lines", DI, 'if fmt == "binary" and prefetch == "b":', 'if fmt == "xml":', STREAMS),
+    Mutation("din: no warning of prefetches that span lines", DI, 'if fmt == "binary" and prefetch == "b":', 'if fmt == "xml":', STREAMS),
     # --- names and forms ---
     Mutation("names: handed to Arrow", RD, "handles.enter_context(opened(file))", "str(file)", STREAMS),
     Mutation("names: written by Arrow", "traces/writer.py", 'pa.OSFile(os.fsencode(path), "wb")', 'pa.OSFile(str(path), "wb")', STREAMS),
