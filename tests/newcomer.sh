@@ -66,7 +66,7 @@ CHECK
 report() {
     . nptrace-env/bin/activate
     nptrace render room --pixels 32x32
-    npcache report traces/room-kdtree-32x32 traces/room-bvh-32x32 -o room.html
+    npcache report traces/room-standin-kdtree-32x32 traces/room-standin-bvh-32x32 -o room.html
     python tests/browser.py room.html
 }
 (report)
