@@ -130,7 +130,7 @@ MUTATIONS = [
     Mutation("opt: prefetchers that react are accepted", RP, "        check_foreseeable(asked.policy)\n", "        pass\n", OPT),
     # --- whole files ---
     Mutation("files: written in place", "nptrace_base/atomic.py", "temporary = path.with_name(f\".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}\")", "temporary = path", f"{SWEEP} -k whole"),
-    Mutation("files: what a failed writer left stays", "nptrace_base/atomic.py", "        temporary.unlink(missing_ok=True)\n", "        pass\n", f"{SWEEP} -k whole"),
+    Mutation("files: what a failed writer left stays", "nptrace_base/atomic.py", "        temporary.unlink(missing_ok=True)\n", "        pass\n", "tests/nptrace/test_outputs.py -k half_way"),
     Mutation("files: what a killed writer left stays", "nptrace_base/atomic.py", "    _sweep(path)\n", "", f"{FAULTS} -k sweeps"),
     Mutation("format: a damaged picture opens", "traces/reader.py", 'if footer.image_sha256 not in (image, None):', 'if footer.image_sha256 == "":', f"{FAULTS} -k flipped"),
     Mutation("format: pages are not checked", "traces/reader.py", "pq.ParquetFile(handle, page_checksum_verification=True)", "pq.ParquetFile(handle)", FORMAT),
