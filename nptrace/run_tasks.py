@@ -20,7 +20,7 @@ def run_by_run(
     advance: Callable[[int], object],
 ) -> list[Any]:  # fmt: skip
     """Return what ``function`` returns for each run and its arguments, one run after the other."""
-    tasks = [(_there(run), *given) for run, given in zip(runs, arguments, strict=True)]
+    tasks = [(*_there(run), *given) for run, given in zip(runs, arguments, strict=True)]
     found: dict[int, list[Any]] = {}
     for number, rows in engine.results(function, tasks):
         found[number] = rows
@@ -28,25 +28,32 @@ def run_by_run(
     return [row for number in range(len(tasks)) for row in found[number]]
 
 
-def _there(run: Run | Place | str) -> Place:
-    """Return where a run is, for a worker that may be in another folder."""
+def _there(run: Run | Place | str) -> tuple[Place, Place]:
+    """Return where a run is, for a worker that may be in another folder, and what rows call that place."""
     where = run.path if isinstance(run, Run) else place(run)
-    return where.absolute() if isinstance(where, Path) else where
+    return (where.absolute() if isinstance(where, Path) else where), where
+
+
+def _opened(there: Place, where: Place) -> Run:
+    run = open_run(there)
+    run.path = where
+    return run
 
 
 def compare_run(
-    where: Place, config: "CacheConfig", clock: "Clock", prefetches: list[str], layout: str, baselines: bool
+    there: Place, where: Place, config: "CacheConfig", clock: "Clock", prefetches: list[str], layout: str, baselines: bool
 ) -> "list[Compared]":  # fmt: skip
     """Compare the policies on one run."""
     from cachesim.clock.compare import compare
 
-    return compare(open_run(where), config, clock, layout=layout, prefetches=prefetches, has_baselines=baselines, threads=1)
+    run = _opened(there, where)
+    return compare(run, config, clock, layout=layout, prefetches=prefetches, has_baselines=baselines, threads=1)
 
 
 def table1_of_run(
-    where: Place, key: tuple[str, str], policy: str, layout: str, equation: "Equation | None"
+    there: Place, where: Place, key: tuple[str, str], policy: str, layout: str, equation: "Equation | None"
 ) -> "list[Table1Row]":  # fmt: skip
     """Return the rows of Table I of one run."""
     from cachesim.report.table1 import table1
 
-    return table1({key: open_run(where)}, policy=policy, layout=layout, equation=equation, threads=1)
+    return table1({key: _opened(there, where)}, policy=policy, layout=layout, equation=equation, threads=1)

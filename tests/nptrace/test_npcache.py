@@ -20,7 +20,7 @@ from traces.identity import COLUMNS
 from traces.reader import find_runs, open_run
 
 FIELDS = [
-    *COLUMNS, "size_bytes", "ways", "line_bytes", "policy", "policy_seed", "prefetch", "layout",
+    *COLUMNS, "size_bytes", "ways", "line_bytes", "policy", "policy_seed", "prefetch", "layout", "reads", "flush",
     "demand_accesses", "demand_misses",
     "prefetch_accesses", "prefetch_misses", "compulsory", "capacity", "conflict", "redundant", "filled", "useful", "useless",
     "resident", "pollution", "demand_misses_without", "bytes_from_memory", "demand_miss_rate", "paper_miss_rate", "accuracy",

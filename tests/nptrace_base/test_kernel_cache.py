@@ -85,7 +85,7 @@ def replay(tmp_path, *, limit=None, **environment):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[1].startswith("x.din,x.din,,,,,,,,,,,,8192,1,32,lru,,traced,stored,3,2,")
+    assert done.stdout.splitlines()[1].startswith("x.din,x.din,,,,,,,,,,,,,,,,8192,1,32,lru,,traced,stored,own,never,3,2,")
     *lines, last = done.stderr.splitlines()
     assert "accesses read in" in last
     return lines

@@ -435,8 +435,11 @@ class SlowStack(NoPolicy):
             self.close(slot.number)
 
     def request(self, number):
+        stack = self.clock.slots[number].stack
+        while self.left[number] > 0 and self.pointer[number] > 0 and not self.may_request(stack[self.pointer[number] - 1]):
+            self.pointer[number] -= 1  # it passes what it may not request, and does not come back
         places = self.candidates(number)
-        return self.lines[self.clock.slots[number].stack[places[0]].node] if places else None
+        return self.lines[stack[places[0]].node] if places else None
 
     def facts(self, number):
         slot, place = self.clock.slots[number], self.candidates(number)[0]

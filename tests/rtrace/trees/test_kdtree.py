@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rtrace.scenes.stand_ins import boxes, height_field, icosphere, soup
-from rtrace.trees import kdtree
+from rtrace.trees import kd_cells, kdtree
 from rtrace.trees.clip import POLYGON, PartBounds, rank, split_bounds, value
 from rtrace.trees.kdtree import build_kdtree, sah_cost
 from rtrace.trees.tree import LEAF_AXIS, node_table
@@ -385,7 +385,7 @@ def test_arrays_that_grow_change_nothing(monkeypatch):
 
     first_events, empty = kdtree.first_events, np.empty
     monkeypatch.setattr(kdtree, "first_events", tight)
-    monkeypatch.setattr(kdtree, "_grown", grow)
+    monkeypatch.setattr(kd_cells, "_grown", grow)
     monkeypatch.setattr(kdtree.np, "empty", scant)
     again = build_kdtree(triangles)
     assert set(grown) == {np.dtype(np.uint32), np.dtype(np.int32), np.dtype(np.int64)}
