@@ -4,7 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cachesim import source
@@ -88,6 +88,7 @@ def slow_flushed(trace, config):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 1 << 20), batch=st.sampled_from([7, 1 << 18]))
 def test_a_flush_after_every_ray_is_that_of_the_model(kind, seed, batch, tmp_path_factory):
     trace = make_trace(kind, seed, n_rays=30, max_level=7)
