@@ -69,8 +69,8 @@ class Rates(NamedTuple):
 
 
 def measure(pixels: int, repeat: int) -> Rates:
-    """Return the rates for a picture of the scene sponza, or its stand-in, as a BVH."""
-    scene = load_scene("sponza", notify=lambda sentence: None)
+    """Return the rates for a picture of the stand-in court as a BVH."""
+    scene = load_scene("court")
     tree = cached_tree(scene, "bvh")
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "run"
