@@ -2,60 +2,26 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import cache
 from statistics import median
 from typing import Any
 
-from figures import DATA
+from study_data import fits, head, row_name, study
 from study_figures import cache_text
+from study_fit import fitted
 
 from cachesim.report.table1 import PAPER_N, SCENES, TREES, paper_table
-from nptrace.table1_study.analysis import Cause, Study, causes, ranges, split, tornado
+from nptrace.table1_study.analysis import Cause, causes, ranges, split, tornado
 from nptrace.table1_study.cameras import SOURCES
-from nptrace.table1_study.figures import CACHES, cells, implied, is_plausible, read_rows
+from nptrace.table1_study.figures import CACHES, cells, implied, is_plausible
 from nptrace.table1_study.fit import (
-    TARGET,
-    WEIGHT,
-    Fits,
-    Model,
-    Summary,
-    beyond_target,
-    held_out_by_cache,
-    held_out_by_scene,
-    is_within_target,
     summary,
 )
 from nptrace.table1_study.knobs import BVH, KD, KNOBS, SCENE_KNOBS
-from nptrace.table1_study.presets import PRESETS
-
-OWN = ("builder", "layout", "reads")
-
-
-@cache
-def study() -> Study:
-    """Return the study."""
-    return Study(read_rows(DATA / "study.parquet"))
-
-
-@cache
-def fits() -> Fits:
-    """Return all models."""
-    return Fits(study().plausible, OWN)
 
 
 def _span(values: Sequence[float], decimals: int = 1) -> str:
     low, high = f"{min(values):.{decimals}f}", f"{max(values):.{decimals}f}"
     return low if low == high else f"{low} to {high}"
-
-
-def _head(cog: Any, names: Sequence[str], n_left: int = 1) -> None:
-    cog.outl("| " + " | ".join(names) + " |")
-    cog.outl("| " + " | ".join(["---"] * n_left + ["---:"] * (len(names) - n_left)) + " |")
-
-
-def _title(tree: str, scene: str, cache: tuple[int, int]) -> str:
-    return f"{TREES[tree]} {scene} {cache_text(cache)}"
 
 
 def _values(knob: Any, tree: str) -> str:
@@ -66,7 +32,7 @@ def _values(knob: Any, tree: str) -> str:
 
 def knobs(cog: Any) -> None:
     """Write the table of knobs."""
-    _head(
+    head(
         cog,
         ["knob", "values (default in bold; in brackets those that the text contradicts)", "decided at", "why it is open"],
         4,
@@ -114,10 +80,10 @@ def denominator_share(cog: Any) -> None:
 
 def range_table(cog: Any) -> None:
     """Write the range of every cell."""
-    _head(cog, ["", "A % paper", "ours", "range", "", "B/A % paper", "ours", "range", ""])
+    head(cog, ["", "A % paper", "ours", "range", "", "B/A % paper", "ours", "range", ""])
     found = {(each.tree, each.scene, each.cache, each.name): each for each in ranges(study(), ["miss_a", "miss_ratio"])}
     for cell in cells():
-        line = [_title(*cell)]
+        line = [row_name(*cell)]
         for name in ("miss_a", "miss_ratio"):
             each = found[(*cell, name)]
             line += [
@@ -155,12 +121,12 @@ def cause_table(cog: Any) -> None:
     """Write the cause of every row."""
     names = {"miss_a": "miss rate A", "miss_ratio": "B/A"}
     found = {name: {(each.tree, each.scene, each.cache): each for each in causes(study(), name)} for name in names}
-    _head(cog, ["", "denominator %", "A: off by", "cause", "left", "B/A: off by", "cause", "left"])
+    head(cog, ["", "denominator %", "A: off by", "cause", "left", "B/A: off by", "cause", "left"])
     for cell in cells():
         tree, scene, of_cache = cell
         paper = paper_table()[tree, scene, *of_cache]
         parts = split(paper["miss_ratio"], paper["kb_ratio"])
-        line = [_title(*cell), f"{100 * parts.denominator / (parts.denominator + parts.lines):.0f}"]
+        line = [row_name(*cell), f"{100 * parts.denominator / (parts.denominator + parts.lines):.0f}"]
         for each in (found[name][cell] for name in names):
             line += [f"{each.before - each.paper:+.1f}", _cause(each), f"{each.left:+.1f}"]
         cog.outl("| " + " | ".join(line) + " |")
@@ -178,77 +144,10 @@ def _cause(each: Cause) -> str:
     return f"{each.cause} (`{each.value}`)" if each.knob else "none"
 
 
-def _model(model: Model) -> str:
-    base = study().base
-    shared = [f"{name} `{value}`" for name, value in model.shared.items() if value != getattr(base, name)]
-    own = [
-        f"{TREES[tree]} {name} `{value}`"
-        for tree in TREES
-        for name, value in model.own[tree].items()
-        if value != getattr(base, name)
-    ]
-    views = [f"{version} {camera}" for version, camera in model.views.values()]
-    return f"{', '.join([*shared, *own]) or 'every default'}; views {', '.join(views)}"
-
-
-def _told(found: Summary) -> str:
-    return f"{found.median:.1f} | {found.worst:.1f} | {found.factor:.2f}"
-
-
-def default_summary(cog: Any) -> None:
-    """Write how far the default is."""
-    at = summary([each for each in _default_residuals()])
-    cog.outl(
-        f"B/A is off by {at.median:.1f} points in the median row and {at.worst:.1f} in the worst; A by a factor of "
-        f"{at.factor:.2f}."
-    )
-
-
-def _default_residuals() -> list[Any]:
-    from nptrace.table1_study.figures import octaves
-    from nptrace.table1_study.fit import Residual
-
-    found = []
-    for tree, scene, each in cells():
-        row, paper = study().default(tree, scene, each), paper_table()[tree, scene, *each]
-        found.append(
-            Residual(tree, scene, each, row["miss_ratio"] - paper["miss_ratio"], octaves(paper["miss_a"], row["miss_a"]))
-        )
-    return found
-
-
-def _fits() -> dict[str, dict[str, Any]]:
-    """Return what is fitted."""
-    return {"B/A and A": {"weight": WEIGHT}, "B/A to the target": {"weight": 0.0, "loss": beyond_target}}
-
-
-def fit_table(cog: Any) -> None:
-    """Write the nearest models, and how they hold on other rows."""
-    _head(cog, ["fitted to", "rows", "B/A median", "worst", "A factor", "on other rows: median", "worst", "A factor"], 2)
-    cog.outl(f"| nothing (default) | - | {_told(summary(_default_residuals()))} | - | - | - |")
-    for title, options in _fits().items():
-        model = fits().best(**options)
-        assert model is not None
-        cog.outl(f"| {title} | all | {_told(summary(model.residuals))} | - | - | - |")
-        for _, found, other in held_out_by_cache(fits(), **options):
-            cog.outl(f"| {title} | half | {_told(found)} | {_told(other)} |")
-        for scene, left_out in held_out_by_scene(fits(), **options).items():
-            middle = Summary(*(median(getattr(each, name) for each in left_out) for name in Summary._fields))
-            cog.outl(f"| {title} | without {scene} | | | | {_told(middle)} |")
-
-
-def nearest(cog: Any) -> None:
-    """Write the nearest models."""
-    for title, options in _fits().items():
-        model = fits().best(**options)
-        assert model is not None
-        cog.outl(f"- {title}: {_model(model)}.")
-
-
 def access_table(cog: Any) -> None:
     """Write access counts and p, the paper's and ours, and what p makes of B/A."""
     names = ["", "A paper", "ours", "range", "p paper", "ours", "range", "1 / (1 + p) %", "B/A printed", "bytes B/A printed"]
-    _head(cog, names)
+    head(cog, names)
     for tree in TREES:
         for scene in SCENES:
             of, paper = study().of_cell(tree, scene, CACHES[0]), implied(tree, scene)
@@ -304,7 +203,7 @@ def impossible(cog: Any) -> None:
     for tree, scene, each in cells():
         row = paper_table()[tree, scene, *each]
         if each[1] == 1 and row["kb_ratio"] + 0.05 < 100:
-            texts.append(f"{_title(tree, scene, each)}: {row['kb_ratio']:.1f} %")
+            texts.append(f"{row_name(tree, scene, each)}: {row['kb_ratio']:.1f} %")
     direct = [row for row in study().rows if row["ways"] == 1 and row["policy"] == "lru"]
     least = min(row["kb_ratio"] for row in direct if row["kb_ratio"] is not None)
     cog.outl(
@@ -349,7 +248,7 @@ def claims(cog: Any) -> None:
         ]
         return f"{median(values):.1f} ({_span(values)})"
 
-    _head(cog, ["%, median view (range)", "kd-tree, primary", "kd-tree, shadow", "BVH, primary", "BVH, shadow"])
+    head(cog, ["%, median view (range)", "kd-tree, primary", "kd-tree, shadow", "BVH, primary", "BVH, shadow"])
     pairs = [(tree, kind) for tree in (KD, BVH) for kind in ("primary", "shadow")]
     cog.outl(
         "| leaves entered with at most 3 entries on the stack | "
@@ -389,7 +288,7 @@ def _sentences() -> list[str]:
 def truth(cog: Any) -> None:
     """Write the honest figures knob by knob, at the own view of each scene."""
     of_tree = ("demand misses saved %", "the paper's metric saves %", "accuracy %", "traffic")
-    _head(
+    head(
         cog,
         ["knob", *(f"{TREES[tree]}: {of_tree[0]}" if i == 0 else each for tree in TREES for i, each in enumerate(of_tree))],
     )
@@ -429,29 +328,6 @@ def worth(cog: Any) -> None:
         )
 
 
-def preset(cog: Any) -> None:
-    """Write whether a preset holds."""
-    options = _fits()["B/A to the target"]
-    model = fits().best(**options)
-    assert model is not None
-    halves = [is_within_target(found) and is_within_target(other) for _, found, other in held_out_by_cache(fits(), **options)]
-    left_out = held_out_by_scene(fits(), **options)
-    some = {scene: sum(is_within_target(each) for each in of) for scene, of in left_out.items()}
-    texts = [f"{scene} {some[scene]} of {len(of)}" for scene, of in left_out.items()]
-    on_all = "is" if is_within_target(summary(model.residuals)) else "is not"
-    cog.outl(
-        f"The target is B/A within {TARGET[0]} points in the median row and {TARGET[1]:.0f} in the worst. It {on_all} met on "
-        f"all rows; found on half of them it holds on the other half in {sum(halves)} of {len(halves)} halves. Found without "
-        f"a scene, it holds there under so many of its measured views: {', '.join(texts)}."
-    )
-    found = {tree: replace(study().base, **model.shared, **model.own[tree]) for tree in TREES}
-    named = next((name for name, settings in PRESETS.items() if settings == found), None)
-    if named is not None and all(halves):
-        cog.outl(
-            f"\nThat model is the preset `{named}`: `python -m nptrace.table1_study --preset {named}` prints its 32 rows."
-        )
-
-
 def answer(cog: Any) -> None:
     """Write the findings in sentences."""
     rows = [row for row in study().plausible if row["tree"] == KD and row["prefetches"]]
@@ -459,7 +335,7 @@ def answer(cog: Any) -> None:
     n = {name: sum(each.is_inside for each in found if each.name == name) for name in ("miss_a", "miss_ratio")}
     shares = [split(row["miss_ratio"], row["kb_ratio"]) for row in paper_table().values()]
     part = median(100 * each.denominator / (each.denominator + each.lines) for each in shares)
-    model = fits().best(**_fits()["B/A to the target"])
+    model = fits().best(**fitted()["B/A to the target"])
     assert model is not None
     at = summary(model.residuals)
     saved = [row["coverage"] for row in rows]
