@@ -28,21 +28,35 @@ INTERRUPTED = 130
 class Interrupt:
     """What Ctrl-C does to a program: it leaves at once, deleting on its way what is half written.
 
-    Further ones do not disturb that; after a second of it they end everything.
+    Further ones do not disturb that; after a second of it they end everything. Where code that ran swallowed the
+    exception, as a destructor or a bare ``except`` does, the program is asked to leave again.
     """
+
+    #: Seconds after which a program that did not begin to leave is asked again.
+    AGAIN = 0.1
 
     def __init__(self) -> None:
         self.is_seen = False
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored, as behind nohup
             signal.signal(signal.SIGINT, self._leave)
+            signal.signal(signal.SIGALRM, self._leave_again)
 
     def _leave(self, number: int, frame: object) -> None:
         if not self.is_seen:
             self.is_seen, self._time = True, time.monotonic()
             sys.unraisablehook = lambda error: None  # it may be seen in a place that cannot be left
+            signal.setitimer(signal.ITIMER_REAL, self.AGAIN, self.AGAIN)
             raise SystemExit(INTERRUPTED)
         if time.monotonic() > self._time + 1:
             os._exit(INTERRUPTED)
+
+    def _leave_again(self, number: int, frame: object) -> None:
+        """Leave, unless the blocks that clean up are at work: they handle the exception."""
+        error = sys.exc_info()[1]
+        while error is not None and not isinstance(error, SystemExit):
+            error = error.__context__
+        if error is None:
+            raise SystemExit(INTERRUPTED)
 
 
 class BadInput(click.ClickException):
