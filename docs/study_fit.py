@@ -97,6 +97,4 @@ def preset(cog: Any) -> None:
     found = {tree: replace(study().base, **model.shared, **model.own[tree]) for tree in TREES}
     named = next((name for name, settings in PRESETS.items() if settings == found), None)
     if named is not None and all(halves):
-        cog.outl(
-            f"\nThat model is the preset `{named}`: `python -m nptrace.table1_study --preset {named}` prints its 32 rows."
-        )
+        cog.outl(f"\nThat model is the preset `{named}`: `npcache table1 --preset {named}` prints its 32 rows.")

@@ -331,13 +331,16 @@ def estimate(
 
 
 def table1(
-    sources: Sources = (), /, *, traces: Place | str = "traces", policy: str = "lru", layout: str = "stored", n: str = "paper",
-    hit: int = 1, miss: int = 100, workers: "int | Executor" = 0, scheduler: str | None = None, threads: int | None = None,
+    sources: Sources = (), /, *, traces: Place | str = "traces", preset: str | None = None, policy: str = "lru",
+    layout: str = "stored", n: str = "paper", hit: int = 1, miss: int = 100, workers: "int | Executor" = 0,
+    scheduler: str | None = None, threads: int | None = None,
 ) -> Results:  # fmt: skip
     """Return Table I of the paper beside ours from existing runs, as ``npcache table1`` does.
 
     Parameters
     ----------
+    preset : str, optional
+        ``"paper2013"``: a model that the study found, in place of runs; ``n``, ``hit``, ``miss`` and ``threads`` go with it.
     n : str
         Accesses per ray in the ACPR: ``"paper"``, ``"measured"``, or the kd-tree's and the BVH's, ``"15.77,27"``.
     hit, miss : int
@@ -347,12 +350,23 @@ def table1(
     """
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
-    from nptrace.studies import table1_rows, table1_runs
+    from nptrace.studies import preset_rows, table1_rows, table1_runs
+    from nptrace.table1_study.presets import PRESETS, note
 
     for name, cycles in (("hit", hit), ("miss", miss)):
         if not (type(cycles) is int and cycles >= 1):
             raise NptraceError(f"{name}: {cycles!r} is no number of cycles; write a whole number from 1")
     equation = table.Equation(hit, miss, table.parse_n(n))
+    if preset is not None:
+        if preset not in PRESETS:
+            raise NptraceError(f"preset: {preset!r} is none of {', '.join(PRESETS)}")
+        if _given(sources) or workers or scheduler or (policy, layout) != ("lru", "stored"):
+            raise NptraceError("preset: it has its own pictures, caches and layouts; give n, hit, miss and threads alone")
+        with Progress() as bar:
+            rows = preset_rows(preset, bar, equation=equation, threads=threads)
+        return Results(
+            "table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), [*table1_tables.notes(rows), note(preset)])
+        )
     runs = [each if isinstance(each, Run) else open_run(each) for each in _chosen(sources, traces)]
     with engine_of(workers, scheduler) as engine, Progress() as bar:
         rows = table1_rows(
@@ -361,11 +375,16 @@ def table1(
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
 
 
+def _given(sources: Any) -> list[Any]:
+    """Return sources as a list, also a single one."""
+    return [sources] if isinstance(sources, (str, Path, Remote, Run)) else list(sources)
+
+
 def _chosen(sources: Any, folder: Place | str) -> list[Where]:
     """Return what to read: runs as they are, and the runs and traces at the places named, or those in the folder."""
     from nptrace.sources import chosen_sources
 
-    given = [sources] if isinstance(sources, (str, Path, Remote, Run)) else list(sources)
+    given = _given(sources)
     if not given:
         return [*chosen_sources([], place(folder))]
     chosen: list[Where] = []

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import click
@@ -68,7 +68,7 @@ class BadInput(click.ClickException):
 class _Commands(dict[str, click.Command]):
     """The commands of a program by name, each imported when it is looked up."""
 
-    def __init__(self, program: str, names: list[str]) -> None:
+    def __init__(self, program: str, names: Iterable[str]) -> None:
         super().__init__(dict.fromkeys(names))  # type: ignore[arg-type]
         self._program = program
 
@@ -137,12 +137,13 @@ class Commands(click.Group):
     """A group whose commands turn errors about inputs into one sentence; anything else is a bug and shows its traceback.
 
     It and each of its commands have ``--version``, ``-h`` and ``--help``. A command is a function in the module of its name in
-    ``nptrace.commands``, with a trailing underscore where the name is Python's; it is imported when it is needed.
+    ``nptrace.commands``, with a trailing underscore where the name is Python's; it is imported when it is needed, and the
+    group's help, which lists ``commands``, a sentence by name, needs none.
     """
 
-    def __init__(self, name: str, commands: list[str], **kwargs: Any) -> None:
+    def __init__(self, name: str, commands: Mapping[str, str], **kwargs: Any) -> None:
         super().__init__(name, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
-        self.commands = _Commands(name, commands)
+        self.commands, self._sentences = _Commands(name, commands), commands
         _version_option(name)(self)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
@@ -165,6 +166,11 @@ class Commands(click.Group):
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")
         return super().main(*args, **kwargs)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the names and sentences."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(self._sentences.items()))
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""

@@ -236,6 +236,26 @@ def table1_rows(
     return table1(chosen, policy=policy, layout=layout, equation=equation, threads=threads, progress=advance)
 
 
+def preset_rows(name: str, bar: Progress, *, equation: "Equation", threads: int | None = None) -> "list[Table1Row]":
+    """Return Table I under a model of ``table1_study.presets``: scenes are traced at their own views; no run is written."""
+    from cachesim.report.table1 import SCENES, row_of
+    from nptrace.table1_study.cameras import views
+    from nptrace.table1_study.measure import measured
+    from nptrace.table1_study.presets import PRESETS
+    from nptrace.table1_study.traced import traced
+
+    bar.job(name)
+    advance = bar.phase("trace and replay", len(PRESETS[name]) * len(SCENES))
+    rows = []
+    for tree, setting in PRESETS[name].items():
+        for scene in SCENES:
+            run = traced(views(scene, only_own=True)[0].seen, tree, setting, threads or os.cpu_count() or 1)
+            for _, _, results in measured(run, [setting]):
+                rows += [row_of(tree, scene, result, equation) for result in results]
+            advance(1)
+    return rows
+
+
 def table1_runs(runs: Sequence[Run], where: Any) -> dict[tuple[str, str], Run]:
     """Return the runs of Table I's scenes; NptraceError, which says where they were looked for, if there is none."""
     from cachesim.report import table1 as table

@@ -3,11 +3,9 @@
 import glob
 import os
 import re
-import secrets
 import shutil
 import stat
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -82,7 +80,7 @@ def is_special(path: Path) -> bool:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, a plain file's, to which it is renamed; for caches, which handle an OSError."""
     _sweep(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{os.urandom(4).hex()}.tmp{path.suffix}")
     try:
         yield temporary
         with suppress(FileNotFoundError):
@@ -95,6 +93,8 @@ def replacing(path: Path) -> Iterator[Path]:
 @contextmanager
 def _straight(path: Path) -> Iterator[Path]:
     """Yield a temporary path elsewhere, whose content is copied into ``path``, which is opened now: its reader waits."""
+    import tempfile  # with its random numbers, a tenth of what a command's help imports
+
     with _opened(path) as sink, tempfile.TemporaryDirectory() as folder:
         temporary = Path(folder) / f"whole{path.suffix}"
         yield temporary

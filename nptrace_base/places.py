@@ -7,7 +7,6 @@ address is printed, stored in results and sent to workers.
 
 import os
 import re
-import secrets
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -122,7 +121,7 @@ class Remote:
         first, and the store copies it to this one when all of it has arrived.
         """
         filesystem, path = self._filesystem(), self._at()
-        upload, n_bytes = f"{path}.{secrets.token_hex(4)}.upload", 0
+        upload, n_bytes = f"{path}.{os.urandom(4).hex()}.upload", 0
         with _asked(self, "write"):
             if filesystem.type_name not in ("s3", "gcs", "abfs"):  # where a folder is more than a part of a name
                 filesystem.create_dir(path.rpartition("/")[0])

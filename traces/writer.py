@@ -5,7 +5,6 @@ import errno
 import glob
 import hashlib
 import os
-import secrets
 import shutil
 import stat
 from collections import deque
@@ -170,7 +169,7 @@ class RunWriter:
             self._real.parent.mkdir(parents=True, exist_ok=True)
             for path in {self.path, self._real}:
                 _sweep(path)
-            self._temp = self._real.with_name(f".{self._real.name}.{os.getpid()}-{secrets.token_hex(4)}.tmp")
+            self._temp = self._real.with_name(f".{self._real.name}.{os.getpid()}-{os.urandom(4).hex()}.tmp")
             self._temp.mkdir()
         except (FileExistsError, NotADirectoryError) as e:
             raise RunError(f"cannot write {self.path}: {self.path.parent} is not a folder; choose another --out") from e

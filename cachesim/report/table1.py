@@ -8,7 +8,8 @@ ACPR / (1 + 99 R) is the same in every row). The demand metric stands beside it.
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,7 @@ class Table1Row:
     """One row: ``ours`` and ``paper`` by the names above.
 
     ``nodes_per_ray`` is the measured N (accesses per ray), ``timing`` the same cache on the machine ``paper`` of the clock,
-    and ``equation`` that of the ACPR.
+    None where it was not timed, and ``equation`` that of the ACPR. ``policy`` to ``reads`` are those of the replay.
     """
 
     tree: str
@@ -90,10 +91,14 @@ class Table1Row:
     identity: RunIdentity
     size_bytes: int
     ways: int
+    policy: str
+    layout: str
+    prefetch: str
+    reads: str
     ours: dict[str, float | None]
-    paper: dict[str, float]
+    paper: Mapping[str, float]
     nodes_per_ray: float | None
-    timing: Timing
+    timing: Timing | None = None
     equation: Equation = field(default_factory=Equation)
 
     @property
@@ -119,7 +124,8 @@ class Table1Row:
         return ours / self.n * self.nodes_per_ray if self.n else None
 
 
-def paper_table() -> dict[Key, dict[str, float]]:
+@cache
+def paper_table() -> Mapping[Key, Mapping[str, float]]:
     """Return the 32 rows of the paper, in its order."""
     with open(Path(__file__).with_name("table1_paper.csv"), encoding="ascii", newline="") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
@@ -185,22 +191,23 @@ def table1(
     """
     equation = equation or Equation()
     clock = PRESETS["paper"].clock.with_numbers(hit=equation.hit, miss=equation.miss)
-    paper = paper_table()
     rows = []
     for tree, scene in in_order(chosen):
         run = chosen[tree, scene]
-        keys = [key for key in paper if key[:2] == (tree, scene)]
-        configs = [CacheConfig(size, ways, 32, policy) for _, _, size, ways in keys]
+        configs = [replace(config, policy=policy) for config in caches()]
         source = as_source(run, layout)
         results = replay(source, configs, threads=threads, progress=progress)
         timings = time_run(source, configs, [clock], threads=threads, progress=progress)
-        for key, result, timing in zip(keys, results, timings, strict=True):
-            rows.append(_row(key, result, timing, paper[key], equation))
+        rows += [
+            row_of(tree, scene, result, equation, timing) for result, timing in zip(results, timings, strict=True)
+        ]  # fmt: skip
     return rows
 
 
-def _row(key: Key, result: Result, timing: Timing, paper: dict[str, float], equation: Equation) -> Table1Row:
-    tree, scene, size_bytes, ways = key
+def row_of(tree: str, scene: str, result: Result, equation: Equation, timing: Timing | None = None) -> Table1Row:
+    """Return the row of a replay of one of the four caches, and of its timing."""
+    size_bytes, ways = result.config.size_bytes, result.config.ways
+    paper = paper_table()[tree, scene, size_bytes, ways]
     miss_a = ratio(result.demand_misses_without, result.demand_accesses)
     per_ray = ratio(result.demand_accesses, result.n_rays or 0)
     miss_b, n = result.paper_miss_rate, equation.n.get(tree, per_ray)
@@ -221,7 +228,8 @@ def _row(key: Key, result: Result, timing: Timing, paper: dict[str, float], equa
         "accuracy": _percent(result.accuracy),
     }
     figures = {n: ours[n] for n in NAMES} | demand
-    return Table1Row(tree, scene, result.identity, size_bytes, ways, figures, paper, per_ray, timing, equation)
+    asked = result.config.policy, result.layout, result.prefetch, result.reads
+    return Table1Row(tree, scene, result.identity, size_bytes, ways, *asked, figures, paper, per_ray, timing, equation)
 
 
 def _percent(fraction: float | None) -> float | None:
@@ -248,8 +256,9 @@ def to_dicts(rows: Iterable[Table1Row]) -> list[dict[str, Any]]:
 
 
 def _record(row: Table1Row) -> dict[str, Any]:
+    timing = row.timing
     values: dict[str, Any] = {**row.identity.to_dict(), "scene": row.scene, "size_bytes": row.size_bytes, "ways": row.ways}
-    values |= {"policy": row.timing.config.policy, "layout": row.timing.layout}
+    values |= {"policy": row.policy, "layout": row.layout, "prefetch": row.prefetch, "reads": row.reads}
     for name, (column, by) in _RECORD.items():
         values[column] = _divided(row.ours[name], by, column)
         if name in NAMES:
@@ -261,9 +270,9 @@ def _record(row: Table1Row) -> dict[str, Any]:
         "acpr_miss": row.equation.miss,
         "acpr_without_measured_n": row.measured_acpr("acpr_a"),
         "acpr_measured_n": row.measured_acpr("acpr_b"),
-        "cycles_per_ray_without": ratio(row.timing.cycles_without, row.timing.n_rays),
-        "cycles_per_ray": ratio(row.timing.cycles, row.timing.n_rays),
-        "speed_up": row.timing.speed_up,
+        "cycles_per_ray_without": timing and ratio(timing.cycles_without, timing.n_rays),
+        "cycles_per_ray": timing and ratio(timing.cycles, timing.n_rays),
+        "speed_up": timing and timing.speed_up,
     }
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from cachesim.clock.parameters import Clock
+from cachesim.clock.timing import Timing
 from cachesim.config import format_bytes
 from cachesim.report.table1 import NAMES, PAPER_N, TREES, Equation, Table1Row
 from nptrace_base.tables import Table, number, span
@@ -37,7 +38,8 @@ NOTES = (
 def tables(rows: Sequence[Table1Row]) -> list[Table]:
     """Return one table per tree, and a table of the ACPR with the measured N."""
     made = [_tree_table(title, [row for row in rows if row.tree == tree]) for tree, title in TREES.items()]
-    return [table for table in made if table.rows] + [_acpr_table(rows), _time_table(rows)]
+    times = [(row, row.timing) for row in rows if row.timing is not None]
+    return [table for table in made if table.rows] + [_acpr_table(rows)] + ([_time_table(times)] if times else [])
 
 
 def notes(rows: Sequence[Table1Row]) -> list[str]:
@@ -45,9 +47,10 @@ def notes(rows: Sequence[Table1Row]) -> list[str]:
     stand_ins = [] if not any(row.is_stand_in for row in rows) else [
         "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
     ]  # fmt: skip
-    policy, layout = rows[0].timing.config.policy, rows[0].timing.layout
-    other = [] if (policy, layout) == ("lru", "stored") else [
+    asked = {(row.policy, row.layout) for row in rows} - {("lru", "stored")}
+    other = [
         f"Ours with {policy} replacement and the layout {layout}; the paper's, whose caches are LRU, are what they are."
+        for policy, layout in asked if len(asked) == 1
     ]  # fmt: skip
     return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *other, *verdict(rows)]
 
@@ -101,7 +104,7 @@ def _acpr_table(rows: Sequence[Table1Row]) -> Table:
     return Table("ACPR with the measured N (demand accesses per ray)", header, lines, n_left=2)
 
 
-def _time_table(rows: Sequence[Table1Row]) -> Table:
+def _time_table(rows: Sequence[tuple[Table1Row, Timing]]) -> Table:
     """Return what the printed reductions are worth in time."""
     header = ["Tree", "Scene", "Cache", "paper's\nmiss B/A", "ours", "demand\nB/A"]
     header += ["cycles/ray\nA", "cycles/ray\nB", "speed-up"]
@@ -109,13 +112,14 @@ def _time_table(rows: Sequence[Table1Row]) -> Table:
         [
             TREES[row.tree], row.scene_title[:1].upper() + row.scene_title[1:], f"{format_bytes(row.size_bytes)}({row.ways})",
             number(row.paper["miss_ratio"], 1), number(row.ours["miss_ratio"], 1), number(row.ours["demand_ratio"], 1),
-            number(row.timing.cycles_without / row.timing.n_rays, 1), number(row.timing.cycles / row.timing.n_rays, 1),
-            number(row.timing.speed_up, 3),
+            number(timing.cycles_without / timing.n_rays, 1), number(timing.cycles / timing.n_rays, 1),
+            number(timing.speed_up, 3),
         ]
-        for row in rows
+        for row, timing in rows
     ]  # fmt: skip
-    sections = {i for i, (row, after) in enumerate(pairwise(rows)) if (row.tree, row.scene) != (after.tree, after.scene)}
-    title = f"In time: the clock's machine 'paper' ({_numbers(rows[0].timing.clock)})"
+    pairs = [(row.tree, row.scene) for row, _ in rows]
+    sections = {i for i, (pair, after) in enumerate(pairwise(pairs)) if pair != after}
+    title = f"In time: the clock's machine 'paper' ({_numbers(rows[0][1].clock)})"
     return Table(title, header, lines, n_left=3, sections=sections, extra=("cycles/ray\nA", "cycles/ray\nB", "ours"))
 
 
@@ -132,10 +136,10 @@ def verdict(rows: Sequence[Table1Row]) -> list[str]:
         members = [row for row in rows if row.tree == tree]
         if members:
             paper, demand = (_fall([row.ours[name] for row in members]) for name in ("miss_ratio", "demand_ratio"))
-            time = [100 - 100 / row.timing.speed_up for row in members if row.timing.speed_up]
+            times = [100 / row.timing.speed_up - 100 for row in members if row.timing and row.timing.speed_up]
             found.append(
                 f"{title}: the paper's miss rate changes by {paper} %, because its prefetches count as accesses; demand "
-                f"misses change by {demand} %; the time of a ray by {span([-value for value in time], sign=True)} %."
+                f"misses change by {demand} %" + (f"; the time of a ray by {span(times, sign=True)} %." if times else ".")
             )
     return found
 

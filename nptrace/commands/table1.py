@@ -13,6 +13,7 @@ from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
 from nptrace.sources import LAYOUT_HELP, PlaceOf, again, chosen_sources, traces_option
+from nptrace.table1_study.presets import PRESETS, note
 from nptrace_base.places import Place
 
 if TYPE_CHECKING:
@@ -38,6 +39,10 @@ class Acpr:
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @click.option(
+    "--preset", type=click.Choice(list(PRESETS)),
+    help="Table I under a model that the study found, without runs: a fit of B/A, see docs/study.md.",
+)  # fmt: skip
+@click.option(
     "--target-error", "error", metavar="ERROR",
     help="Estimate the table for large pictures, without runs: 2%, 0.05pp or 2%,0.05pp, as in npcache estimate.",
 )  # fmt: skip
@@ -61,8 +66,8 @@ class Acpr:
 @results_options()
 @gathered("equation", Acpr)
 def table1(
-    sources: tuple[Place, ...], folder: Place, error: str | None, pixels: str, seed: int, policy: str, layout: str,
-    equation: Acpr, workers: int, scheduler: str | None, threads: int, output: Output,
+    sources: tuple[Place, ...], folder: Place, preset: str | None, error: str | None, pixels: str, seed: int, policy: str,
+    layout: str, equation: Acpr, workers: int, scheduler: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Print Table I of the paper beside ours, from existing runs or estimated for large pictures.
 
@@ -71,6 +76,7 @@ def table1(
     npcache table1 a/bunny-bvh b/sponza-bvh
     npcache table1 --format csv -o table1.csv
     npcache table1 --target-error 2%,0.05pp --pixels 2048x2048
+    npcache table1 --preset paper2013
     """
     from cachesim.layout import parse_layout
     from cachesim.report import table1 as table
@@ -81,6 +87,14 @@ def table1(
 
     parse_layout(layout)
     numbers = equation.equation()
+    if preset is not None:
+        if sources or error or workers or scheduler or (policy, layout) != ("lru", "stored"):
+            raise BadInput(
+                f"--preset {preset} has its own pictures, caches and layouts; leave out RUN, --target-error, --policy, "
+                "--layout, --workers and --scheduler"
+            )
+        table1_of_preset(preset, numbers, threads, output)
+        return
     if error is not None:
         if equation != Acpr():
             raise BadInput("--target-error has the paper's equation; leave out --n, --hit and --miss, or give runs")
@@ -96,6 +110,19 @@ def table1(
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
     done(f"{len(chosen)} runs, {len(rows)} caches", began, f"npcache compare {again(sources, folder)}".rstrip())
+
+
+def table1_of_preset(name: str, equation: "Equation", threads: int, output: Output) -> None:
+    """Write Table I under a preset."""
+    from cachesim.report import table1_tables
+    from cachesim.report.table1 import to_dicts
+    from nptrace.studies import preset_rows
+
+    began = time.perf_counter()
+    with Progress() as bar:
+        rows = preset_rows(name, bar, equation=equation, threads=threads)
+    output.write(to_dicts(rows), lambda: (table1_tables.tables(rows), [*table1_tables.notes(rows), note(name)]))
+    done(f"{len(rows)} rows", began)
 
 
 def estimated_table1(sampling: Sampling, picture: Picture, policy: str, layout: str, output: Output) -> None:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -29,22 +28,14 @@ from nptrace_base.sources import digest_of
     "--out", "folder", type=click.Path(path_type=Path), default="traces/study", show_default=True,
     help="Folder for finished parts; the same command goes on where it stopped.",
 )  # fmt: skip
-@click.option("-o", "--output", "path", type=click.Path(path_type=Path), help="The table, in Parquet.")
-@click.option(
-    "--preset", type=click.Choice(["paper2013"]), help="Print Table I under a model that was found; measure nothing else."
-)
+@click.option("-o", "--output", "path", type=click.Path(path_type=Path), required=True, help="The table, in Parquet.")
 @click.option("--threads", type=click.IntRange(1), default=2, show_default=True, help="Runs measured at a time.")
 @click.option("--limit", type=click.IntRange(0), help="Measure so many parts at most, and write what there is.")
-def main(quick: bool, folder: Path, path: Path | None, preset: str | None, threads: int, limit: int | None) -> None:
+def main(quick: bool, folder: Path, path: Path, threads: int, limit: int | None) -> None:
     """Measure what Table I of the paper measures, knob by knob."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if preset is not None:
-        print_preset(preset, threads)
-        return
-    if path is None:
-        raise click.UsageError("no file is given for the table; write e.g. -o study.parquet, or --preset paper2013")
     began, jobs = time.perf_counter(), plan(quick=quick)
     folder.mkdir(parents=True, exist_ok=True)
     parts = [_part(folder, job) for job in jobs]
@@ -59,18 +50,6 @@ def main(quick: bool, folder: Path, path: Path | None, preset: str | None, threa
     with whole_file(path) as temporary:
         pq.write_table(table, temporary, compression="zstd", compression_level=19)
     done(f"{len(table)} rows", began)
-
-
-def print_preset(name: str, threads: int) -> None:
-    """Print Table I under a preset."""
-    from nptrace.table1_study.presets import PRESETS, table_of
-    from nptrace_base.tables import print_tables
-
-    with Progress() as bar:
-        bar.job(name)
-        advance = bar.phase("trace and replay", 4 * len(PRESETS[name]))
-        table = table_of(name, threads, lambda: advance(1))
-    print_tables([table], [], sys.stdout)
 
 
 def _part(folder: Path, job: Job) -> Path:

@@ -35,6 +35,8 @@ def measured(run: TracedRun, settings: Iterable[Setting]) -> Iterator[tuple[Sett
             source = FlushedSource(source, configs)
         for setting in group:
             results = replay(source, configs, prefetch=setting.prefetch, threads=1)
+            for result in results:
+                result.reads, result.flush = reads, flush
             yield setting, n_lines, emptied(results) if flush == "ray" else results
 
 

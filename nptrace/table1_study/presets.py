@@ -1,16 +1,12 @@
-"""Models of Table I by name, found by ``fit`` on the rows of a study: fits, told as such, and never a default."""
+"""Models of Table I by name, found by the study's fit on its rows: fits, told as such, and never a default."""
 
-from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
-from cachesim.report.table1 import SCENES, TREES, paper_table
-from nptrace.table1_study.cameras import views
-from nptrace.table1_study.figures import figures_of
 from nptrace.table1_study.knobs import BVH, KD, Setting
-from nptrace.table1_study.measure import rows_of
-from nptrace.table1_study.traced import traced
-from nptrace_base.tables import Table, number
 
+#: What sentences call the trees.
+TREES = {KD: "kd-tree", BVH: "BVH"}
 _RAYS: dict[str, Any] = {"packet": 4, "shadow_order": "cheaper", "shadow_end": "drain", "prefetch": "stack:budget=2"}
 
 #: The setting of each tree. ``paper2013``: B/A within the target of a preset, on all rows, at each scene's own view
@@ -23,19 +19,14 @@ PRESETS = {
 }
 
 
-def table_of(name: str, threads: int, on_run: Callable[[], object]) -> Table:
-    """Return Table I under a preset beside the paper's: miss rate A and B/A in per cent, and p."""
-    lines, paper = [], paper_table()
+def note(name: str) -> str:
+    """Return what a preset is, to stand below its rows."""
+    usual, trees = Setting(), {}
     for tree, setting in PRESETS[name].items():
-        for scene in SCENES:
-            view = views(scene, only_own=True)[0]
-            run = traced(view.seen, tree, setting, threads)
-            for row in rows_of(run, [setting], {"scene": scene, "tree": tree}, lambda: None):
-                ours, wanted = figures_of(row), paper[tree, scene, row["size_bytes"], row["ways"]]
-                cells = [
-                    text for each in ("miss_a", "miss_ratio") for text in (number(ours[each], 1), number(wanted[each], 1))
-                ]
-                cache = f"{row['size_bytes'] // 1024}K({row['ways']})"
-                lines.append([TREES[tree], view.seen.label, cache, *cells, number(ours["p"], 3)])
-            on_run()
-    return Table(name, ["tree", "scene", "cache", "miss A %", "paper", "B/A %", "paper", "p"], lines, n_left=3)
+        values = {each.name: getattr(setting, each.name) for each in fields(Setting)}
+        trees[TREES[tree]] = ", ".join(f"{knob} {value}" for knob, value in values.items() if value != getattr(usual, knob))
+    return (
+        f"{name} is a fit of B/A, not of A, and not what the paper describes (docs/study.md). "
+        + "; ".join(f"{tree}: {text}" for tree, text in trees.items())
+        + "."
+    )

@@ -17,6 +17,7 @@ CL, BV, SO = "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/merge_
 
 READS_FLUSH, UNTIMED = "tests/cachesim/test_reads_and_flush.py", "tests/cachesim/policies/test_untimed.py"
 STUDY = "tests/nptrace/table1_study/test_study.py"
+PRESET = "tests/nptrace/table1_study/test_preset.py"
 
 MUTATIONS = [
     # --- sorting ---
@@ -129,7 +130,7 @@ MUTATIONS = [
     Mutation("opt: the shadow does not know the future", EX, "            cache.shadow.due[line_id] = due\n", "            pass\n", OPT),
     Mutation("opt: prefetchers that react are accepted", RP, "        check_foreseeable(asked.policy)\n", "        pass\n", OPT),
     # --- whole files ---
-    Mutation("files: written in place", "nptrace_base/atomic.py", "temporary = path.with_name(f\".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}\")", "temporary = path", f"{SWEEP} -k whole"),
+    Mutation("files: written in place", "nptrace_base/atomic.py", "temporary = path.with_name(f\".{path.stem}.{os.getpid()}-{os.urandom(4).hex()}.tmp{path.suffix}\")", "temporary = path", f"{SWEEP} -k whole"),
     Mutation("files: what a failed writer left stays", "nptrace_base/atomic.py", "        temporary.unlink(missing_ok=True)\n", "        pass\n", "tests/nptrace/test_outputs.py -k half_way"),
     Mutation("files: what a killed writer left stays", "nptrace_base/atomic.py", "    _sweep(path)\n", "", f"{FAULTS} -k sweeps"),
     Mutation("format: a damaged picture opens", "traces/reader.py", 'if footer.image_sha256 not in (image, None):', 'if footer.image_sha256 == "":', f"{FAULTS} -k flipped"),
@@ -197,5 +198,7 @@ MUTATIONS = [
     Mutation("study: the first view of a scene is its best", "nptrace/table1_study/fit.py", "if scene not in found or total < found[scene][0]:", "if scene not in found:", STUDY),
     Mutation("study: models are fitted to rows that are held out", "nptrace/table1_study/fit.py", "for each in rows.values() if is_known(each)]", "for each in rows.values()]", STUDY),
     Mutation("study: prefetches are no accesses", "nptrace/table1_study/figures.py", "ratio(fills, accesses + prefetches)", "ratio(fills, accesses)", "tests/nptrace/table1_study/test_identities.py"),
+    Mutation("study: a preset forgets what a visit reads", "nptrace/table1_study/measure.py", "result.reads, result.flush = reads, flush", "pass", PRESET),
+    Mutation("study: a preset has one setting for both trees", "nptrace/studies.py", "for _, _, results in measured(run, [setting]):", "for _, _, results in measured(run, [PRESETS[name]['bvh']]):", PRESET),
     Mutation("study: what the text contradicts counts", "nptrace/table1_study/figures.py", "    return not any(row[knob.name] in knob.unlikely for knob in KNOBS)\n", "    return True\n", STUDY),
 ]

@@ -29,7 +29,7 @@ MUTATIONS = [
     # Object stores and workers
     Mutation("storage: a password in an address is taken", "nptrace_base/places.py", "    if not (harmless or (", "    if False and not (harmless or (", PLACES),
     Mutation("storage: any parameter of an address is taken", "nptrace_base/places.py", 'if name not in SCHEMES[remote.scheme] or "@" in value:', 'if "@" in value:', PLACES),
-    Mutation("storage: a broken upload is published", "nptrace_base/places.py", 'f"{path}.{secrets.token_hex(4)}.upload", 0', "path, 0", f"{PLACES} -k publishes"),
+    Mutation("storage: a broken upload is published", "nptrace_base/places.py", 'f"{path}.{os.urandom(4).hex()}.upload", 0', "path, 0", f"{PLACES} -k publishes"),
     Mutation("workers: rows in the order in which runs end", "nptrace/run_tasks.py", "return [row for number in range(len(tasks)) for row in found[number]]", "return [row for rows in found.values() for row in reversed(rows)]", "tests/nptrace/test_run_tasks.py"),
     Mutation("storage: a run of parts is not numbered on", "traces/run.py", '(("ray", part.first_ray), ("first", part.first_access))', '(("ray", 0), ("first", part.first_access))', PARTS_OF_RUN),
     Mutation("storage: the content of a file is not checked", "traces/manifest.py", "if len(content) != file.bytes or hashlib.sha256(content).hexdigest() != file.sha256:", "if len(content) != file.bytes:", PARTS_OF_RUN),
