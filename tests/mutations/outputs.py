@@ -23,7 +23,7 @@ MUTATIONS = [
     Mutation("vocabulary: a single number of ways that does not fit is left out", "cachesim/grid.py", "or numbers[:1]]", "or [n for n in numbers[:1] if not len(numbers) < 2 or n in fitting]]", "tests/nptrace/test_one_vocabulary.py -k ways"),
     Mutation("vocabulary: an estimate's layout does not place the nodes", "cachesim/sampling/unit_counts.py", "addresses(source.nodes, source.node_bytes, self.layout,", 'addresses(source.nodes, source.node_bytes, "stored",', "tests/nptrace/test_one_vocabulary.py -k layouts"),
     Mutation("vocabulary: counts of another layout are continued", "cachesim/sampling/unit_counts.py", 'moved = [] if self.layout == Layout("stored") else [str(self.layout)]', "moved: list[str] = []", "tests/nptrace/test_one_vocabulary.py -k continued"),
-    Mutation("vocabulary: table1 --policy ignored", "cachesim/report/table1.py", "CacheConfig(size, ways, 32, policy) for", "CacheConfig(size, ways, 32) for", "tests/nptrace/test_one_vocabulary.py -k table1"),
+    Mutation("vocabulary: table1 --policy ignored", "cachesim/report/table1.py", "replace(config, policy=policy) for", "config for", "tests/nptrace/test_one_vocabulary.py -k table1"),
     Mutation("vocabulary: table1 --layout ignored", "cachesim/report/table1.py", "source = as_source(run, layout)", "source = as_source(run)", "tests/nptrace/test_one_vocabulary.py -k table1"),
     Mutation("vocabulary: a piece of the rays of a check is left out", "rtrace/checks/embree.py", "threads + 1).astype(int)", "threads + 1).astype(int)[:3]", "tests/nptrace/test_one_vocabulary.py -k threads"),
     # Object stores and workers
