@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import resources
+from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
@@ -307,10 +307,21 @@ def _script(data: Any) -> str:
 
 @cache
 def _library() -> str:
-    """Return the script of Vega-Lite and Vega, which takes seconds to make."""
+    """Return the script of Vega-Lite and Vega, which takes seconds to make, below its licence, which a copy must have."""
     import vl_convert
 
-    return vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;")
+    return f"/*\n{_licence()}\n*/\n{vl_convert.javascript_bundle('window.vegaEmbed = vegaEmbed;')}"
+
+
+def _licence() -> str:
+    """Return whose the script is, and its conditions: Vega's are those of the package that brings it."""
+    files = metadata.files("vl-convert-python") or []
+    texts = [file.read_text(encoding="utf-8") for file in files if file.name.upper().startswith("LICEN")]
+    holders = (
+        "Vega, Vega-Lite, Vega-Embed: Copyright (c) 2013-2024, University of Washington Interactive Data Lab, BSD 3-Clause.\n"
+        "D3: Copyright (c) 2010-2024, Mike Bostock, ISC. They come with VlConvert, whose licence is also that of Vega:\n\n"
+    )
+    return (holders + "\n".join(texts)).replace("*/", "* /")
 
 
 def _file(name: str) -> str:

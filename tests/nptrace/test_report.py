@@ -150,6 +150,11 @@ def test_nothing_is_loaded(folder, page):
     assert "default-src 'none'" in text and "connect-src" not in text
 
 
+def test_the_library_has_its_licence(folder, page):
+    text = (folder / "page.html").read_text(encoding="utf-8")
+    assert "University of Washington Interactive Data Lab" in text and "Redistribution and use in source and binary" in text
+
+
 def test_four_scenes_of_two_trees_stay_below_5_mb(folder, page):
     """By the numbers of 128 x 128 pixels, whose maps and pictures take far less than four bytes a pixel each."""
     text = (folder / "page.html").read_text(encoding="utf-8")
