@@ -5,6 +5,7 @@ the summaries are joined in order. A part of a run begins with a ray, because a 
 """
 
 import os
+import re
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import lru_cache, reduce
@@ -94,6 +95,14 @@ class Part(RunSource):
 
 
 _making_lines = Lock()
+
+
+def parse_part(text: str) -> tuple[int, int]:
+    """Return the number of a part, from 1, and the number of parts, from ``i/n``."""
+    found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise NptraceError(f"{text!r} is not a part of a run; write 1/8 for the first of eight, 8/8 for the last")
+    return int(found[1]), int(found[2])
 
 
 def cut(source: RunSource, n: int) -> list[Part]:

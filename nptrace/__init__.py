@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 #: Public names, and the module that defines each; ``__init__.pyi`` has them for type checkers.
 _PLACES = {
     **dict.fromkeys(("compare", "estimate", "open", "render", "replay", "sweep", "table1", "time"), "nptrace.api"),
+    **dict.fromkeys(("combine", "summarise"), "nptrace.summaries"),
     "CacheConfig": "cachesim.config",
     "NptraceError": "nptrace_base.errors",
     "Results": "nptrace.results",

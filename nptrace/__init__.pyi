@@ -8,6 +8,8 @@ from nptrace.api import sweep as sweep
 from nptrace.api import table1 as table1
 from nptrace.api import time as time
 from nptrace.results import Results as Results
+from nptrace.summaries import combine as combine
+from nptrace.summaries import summarise as summarise
 from nptrace_base.errors import NptraceError as NptraceError
 from traces.reader import Run as Run
 

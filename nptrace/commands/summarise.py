@@ -1,6 +1,5 @@
 """npcache summarise: a part of a run through caches, into a file that npcache combine joins with those of the other parts."""
 
-import re
 import time
 from pathlib import Path
 
@@ -14,22 +13,9 @@ from nptrace.progress import Progress, done, size_text
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, untimed_policies
 
 
-class _PartOf(click.ParamType):
-    """A part and the number of parts, as i/n."""
-
-    name = "I/N"
-
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Return both numbers."""
-        found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", str(value))
-        if found is None or not 1 <= int(found[1]) <= int(found[2]):
-            raise BadInput(f"--part: {value!r} is not a part of a run; write 1/8 for the first of eight, 8/8 for the last")
-        return int(found[1]), int(found[2])
-
-
 @click.command(cls=Command, lists={"Prefetch policies": untimed_policies})
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--part", type=_PartOf(), required=True, help="Which of how many parts, e.g. 3/8.")
+@click.option("--part", metavar="I/N", required=True, help="Which of how many parts, e.g. 3/8.")
 @size_option()
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
@@ -41,7 +27,7 @@ class _PartOf(click.ParamType):
 @output_option("-o", "--output", "out", help="The file to write, e.g. 3.sum.")
 @gathered("caches", Caches)
 def summarise(
-    run: Path, part: tuple[int, int], caches: Caches, prefetch: list[str], layout: list[str], three_c: bool, threads: int,
+    run: Path, part: str, caches: Caches, prefetch: list[str], layout: list[str], three_c: bool, threads: int,
     out: Path | None,
 ) -> None:  # fmt: skip
     """Replay a part of a run, and write a summary from which npcache combine makes the exact results of the whole run.
@@ -53,14 +39,15 @@ def summarise(
     npcache summarise traces/bunny-bvh --part 2/2 --size 8K --assoc 2 -o 2.sum
     npcache combine 1.sum 2.sum
     """
+    from cachesim.parts import parse_part
     from nptrace.studies import summarised
     from traces.reader import open_run
 
     if out is None or str(out) == "-":
         raise BadInput("a summary is not for a terminal; name a file with -o, e.g. -o 1.sum")
-    began, configs = time.perf_counter(), caches.configs()
+    began, configs, chosen = time.perf_counter(), caches.configs(), parse_part(part)
     with Progress(len(layout) * len(prefetch)) as bar:
         n, n_bytes = summarised(
-            open_run(run), configs, prefetch, layout, part, out, bar, three_c=three_c, threads=threads
+            open_run(run), configs, prefetch, layout, chosen, out, bar, three_c=three_c, threads=threads
         )  # fmt: skip
-    done(f"part {part[0]} of {part[1]}, {n:,} accesses, {size_text(n_bytes)}", began, "npcache combine *.sum")
+    done(f"part {chosen[0]} of {chosen[1]}, {n:,} accesses, {size_text(n_bytes)}", began, "npcache combine *.sum")

@@ -18,7 +18,8 @@ from cachesim.clock.parameters import NUMBERS
 from tests.nptrace.test_terminal import inputs
 
 ROOT = Path(cli.__file__).resolve().parent
-FUNCTIONS = {"render": cli.nptrace, **dict.fromkeys(("replay", "sweep", "time", "compare", "estimate", "table1"), cli.npcache)}
+OF_STAGE_2 = ("replay", "sweep", "summarise", "combine", "time", "compare", "estimate", "table1")
+FUNCTIONS = {"render": cli.nptrace, **dict.fromkeys(OF_STAGE_2, cli.npcache)}
 #: Options of output, and of an estimated Table I, which is a command of its own.
 NOT_OF_FUNCTIONS = {
     "form", "as_json", "output_path", "is_wide", "version", "quiet", "verbose", "help", "picture", "timeline", "error"
@@ -70,7 +71,8 @@ def test_a_function_has_the_options_and_defaults_of_its_command(name):
     parameters = inspect.signature(getattr(nt, name)).parameters
     assert set(options) == (set(parameters) - {"numbers"}) | (set(NUMBERS) if name in ("time", "compare") else set())
     for option, param in options.items():
-        if option in parameters and option not in ("scenes", "sources", "threads"):
+        is_given = option in parameters and parameters[option].default is not inspect.Parameter.empty
+        if is_given and option not in ("scenes", "sources", "threads"):
             assert plain(parameters[option].default) == plain(param.default), option
 
 

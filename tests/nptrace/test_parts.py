@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import cli
+import nptrace as nt
 from cachesim import parts
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
@@ -203,6 +204,17 @@ def test_combine_prints_what_replay_prints(runs, tmp_path, form):
     found = npcache("combine", *reversed(files), "--format", form)
     assert found == npcache("replay", runs["kdtree"].path, *options, "--format", form)
     assert found == npcache("combine", *files, "--format", form) == npcache("combine", *files, "--format", form)
+
+
+def test_from_python_too(runs, tmp_path):
+    run, options = runs["kdtree"], {"size": "1K,4K", "ways": "2,full", "prefetch": "none,stack", "layout": "stored,dfs"}
+    files = [nt.summarise(run, tmp_path / f"{i}.sum", part=(i, 3), **options) for i in (1, 2)]
+    files.append(nt.summarise(run.path, str(tmp_path / "3.sum"), part="3/3", **options, threads=1))
+    found, expected = nt.combine(map(str, reversed(files))), nt.replay(run, **options)
+    assert list(found) == list(expected)
+    assert str(found) == str(expected)
+    with pytest.raises(nt.NptraceError, match="'4/3' is not a part of a run"):
+        nt.summarise(run, tmp_path / "4.sum", part=(4, 3))
 
 
 def test_more_parts_than_rays(runs, tmp_path):
