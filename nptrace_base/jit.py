@@ -25,6 +25,7 @@ import numba
 import numpy as np
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.runtime import rtsys
 from numba.extending import intrinsic
 from platformdirs import user_cache_path
 
@@ -182,7 +183,12 @@ class _Cache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(sig, target_context) if self._open() else None
+            if not self._open():
+                return None
+            # Numba's own method begins with importing all that it can compile, half of the time that a command takes to
+            # start. A stored kernel needs only the runtime; the compiler does the rest when it is asked for.
+            rtsys.initialize(target_context)
+            return self._load_overload(sig, target_context)
         except Exception:  # whatever reading a damaged pickle raises: the kernel is compiled and stored again
             with suppress(OSError):
                 self.flush()

@@ -25,6 +25,7 @@ from rtrace.rays import Rays, make_rays
 from rtrace.traverse import trace_recorded
 from rtrace.traversers.common import KIND_BITS
 from rtrace.trees.tree import Tree
+from traces.arrow_arrays import as_array
 from traces.format import LEAF, PREFETCH, PRIMARY, SHADOW, printable
 
 #: Rays of a chunk, and the columns of the grid in which the file's rays stand as pixels: x = ray mod WIDTH.
@@ -96,7 +97,7 @@ def read_rays(path: Path) -> RayFile:
         column = table.column("any_hit")
         if not pa.types.is_boolean(column.type) or column.null_count:
             raise NptraceError(f"{path}, column 'any_hit' must be true or false for every ray, and is of type {column.type}")
-        any_hit = column.to_numpy()
+        any_hit = as_array(column.cast(pa.uint8())).view(bool)
     try:
         rays = make_rays(origin, direction, ends["t_min"], ends["t_max"])
     except NptraceError as e:
@@ -116,7 +117,7 @@ def _points(table: Any, name: str, path: Path) -> np.ndarray:
     column = table.column(name).combine_chunks()
     is_list = pa.types.is_list(column.type) or pa.types.is_large_list(column.type) or pa.types.is_fixed_size_list(column.type)
     values = column.flatten() if is_list and not column.null_count else None
-    lengths = column.value_lengths().to_numpy(zero_copy_only=False) if values is not None else np.zeros(1)
+    lengths = as_array(column.value_lengths()) if values is not None else np.zeros(1)
     if values is None or (lengths != 3).any():
         raise NptraceError(f"{path}, column {name!r} must be lists of three numbers, and is of type {column.type}")
     return _numbers(pa.table({name: values}), name, path).reshape(-1, 3)
@@ -127,7 +128,7 @@ def _numbers(table: Any, name: str, path: Path) -> np.ndarray:
     if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type)) or column.null_count:
         raise NptraceError(f"{path}, column {name!r} must be a number for every ray, and is of type {column.type}")
     with np.errstate(over="ignore"):
-        return column.to_numpy().astype(np.float64)
+        return as_array(column).astype(np.float64)
 
 
 def ray_chunks(tree: Tree, file: RayFile, threads: int, stretch: Iterable[int] | None = None) -> Iterator[Chunk]:

@@ -18,6 +18,7 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
 from nptrace_base.atomic import whole_file
+from traces.arrow_arrays import as_array
 from traces.din import LABELS, PREFETCH_LABELS, DinError, explain_record, exported, node_addresses
 from traces.reader import Run
 from traces.stream import Stream
@@ -128,13 +129,13 @@ class AddressFile:
             good = pc.fill_null(pc.match_substring_regex(values, _INTEGER), False)
             if not pc.all(good).as_py():
                 raise self._bad(name, values, good, before, "no whole number; write e.g. 4096 or 0x1000")
-            return pc.cast(pc.utf8_trim_whitespace(values), pa.uint64()).to_numpy(zero_copy_only=False)
+            return as_array(pc.cast(pc.utf8_trim_whitespace(values), pa.uint64()))
         if not pa.types.is_integer(values.type):
             raise DinError(f"{self.stream.where}, column {name!r} is of type {values.type}; write whole numbers")
         good = pc.fill_null(pc.greater_equal(values, 0), False)
         if not pc.all(good).as_py():
             raise self._bad(name, values, good, before, "no whole number from 0")
-        return pc.cast(values, pa.uint64()).to_numpy(zero_copy_only=False)
+        return as_array(pc.cast(values, pa.uint64()))
 
     def _types(self, values: Any, before: int) -> np.ndarray:
         """Return access types; those that DineroIV knows and a trace of reads cannot have are left to the check of rows."""
@@ -145,7 +146,7 @@ class AddressFile:
             raise self._bad("type", values, good, before, rule)
         numbers = words.dictionary_encode()
         table = np.array([_TYPES[word] for word in numbers.dictionary.to_pylist()], np.uint8)
-        return table[numbers.indices.to_numpy(zero_copy_only=False)]
+        return table[as_array(numbers.indices)]
 
     def _bad(self, name: str, values: Any, good: Any, before: int, rule: str) -> DinError:
         at = pc.index(good, False).as_py()

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nptrace_base.places import Place
+from traces.arrow_arrays import as_array
 from traces.footer import Footer
 from traces.format import ACCESSES, BOX, NODES, PREFETCH, RAYS, ROW_GROUP, SPLIT, RunError, printable
 from traces.identity import RunIdentity, identity_of
@@ -153,7 +154,7 @@ class Run:
                 continue
             rows = range(row - first, n)
             for read in _batches(part.open("accesses"), ["kind", "node"], part.files["accesses"], rows):
-                begins = (read.column("node").to_numpy() == 0) & (read.column("kind").to_numpy() != PREFETCH)
+                begins = (as_array(read.column("node")) == 0) & (as_array(read.column("kind")) != PREFETCH)
                 if begins.any():
                     return row + int(begins.argmax())
                 row += read.num_rows

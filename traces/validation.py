@@ -8,10 +8,10 @@ from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from nptrace_base.jit import kernel
 from nptrace_base.places import Place
+from traces.arrow_arrays import as_array
 from traces.footer import Footer, TreeFacts
 from traces.format import LEAF, PREFETCH, PUSH, READ, SHADOW, RunError
 from traces.node_formats import OWN_BOX, NodeFormat, stored_addresses
@@ -47,10 +47,10 @@ def plain(column: pa.ChunkedArray | pa.Array, field: pa.Field, path: Place, firs
         A value is missing, or is not one of the contract's type.
     """
     if column.null_count:
-        row = first_row + pc.index(pc.is_null(column), True).as_py()
+        row = first_row + column.is_null().index(True).as_py()
         raise bad_value(path, field.name, row, "null", "every value is there")
     if column.type == field.type:
-        return column.to_numpy() if isinstance(column, pa.ChunkedArray) else column.to_numpy(zero_copy_only=False)
+        return as_array(column)
     converted = _converted(column, field.type)
     if converted is None:
         low, high = 0, len(column)  # the first bad row lies in low ... high - 1
@@ -58,7 +58,6 @@ def plain(column: pa.ChunkedArray | pa.Array, field: pa.Field, path: Place, firs
             middle = (low + high) // 2
             low, high = (low, middle) if _converted(column.slice(low, middle - low), field.type) is None else (middle, high)
         raise bad_value(path, field.name, first_row + low, repr(column[low].as_py()), f"a value is a {field.type}")
-    converted.flags.writeable = False  # as Arrow's arrays: Numba would compile separate code for others
     return converted
 
 
@@ -76,8 +75,7 @@ def _converted(column: pa.ChunkedArray | pa.Array, wanted: pa.DataType) -> np.nd
         cast = column.cast(wanted)
     except pa.ArrowInvalid:
         return None
-    values, before = (np.asarray(each.to_numpy(zero_copy_only=False) if isinstance(each, pa.Array) else each.to_numpy())
-                      for each in (cast, column))  # fmt: skip
+    values, before = as_array(cast), as_array(column)
     if pa.types.is_floating(wanted) and ((values != before) & ~(np.isnan(values) & np.isnan(before))).any():
         return None
     return values

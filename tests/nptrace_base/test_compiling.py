@@ -86,6 +86,21 @@ def test_no_kernel_is_compiled_twice_and_nothing_after_compile(tmp_path):
     assert python(USE, tmp_path).stdout == "0\n"
 
 
+REPLAY = """
+import sys, cli
+from click.testing import CliRunner
+assert CliRunner().invoke(cli.npcache, ["replay"]).exit_code == 0
+print(sorted({"pandas", "matplotlib", "scipy", "trimesh", "numba.np.linalg", "numba.cpython.unicode"} & set(sys.modules)))
+"""
+
+
+def test_a_warm_start_imports_only_what_it_uses(tmp_path):
+    """Neither pandas, which Arrow looks for, nor what Numba can compile, nor what renders and draws."""
+    pytest.importorskip("pandas")
+    python("import nptrace as nt; nt.replay(nt.render('blob', pixels='8x8', accel='bvh', offline=True))", tmp_path)
+    assert python(REPLAY, tmp_path).stdout == "[]\n"
+
+
 def test_the_first_compilation_is_announced_once(monkeypatch):
     said = []
     monkeypatch.setattr(compiling, "n_compiled", 0)
