@@ -115,7 +115,9 @@ class _Place:
 
     def __init__(self, function: Callable[..., Any], file: str, folder: Path) -> None:
         self._file, self._line = Path(file), function.__code__.co_firstlineno
-        where = hashlib.sha256(os.fsencode(self._file.parent)).hexdigest()[:16]  # other files may have the same names
+        # Other files may have the same names; ours are the same in every environment that has this digest.
+        parent = self._file.relative_to(ROOT).parent if self._file.is_relative_to(ROOT) else self._file.parent
+        where = hashlib.sha256(os.fsencode(parent)).hexdigest()[:16]
         self._folder = folder / f"{self._file.parent.name}-{where}"
 
     @classmethod

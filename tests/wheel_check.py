@@ -58,7 +58,7 @@ def main() -> None:
             (work / f"{module}.py").write_text(
                 f'raise ImportError("the foreign {module}.py was imported")\n', encoding="utf-8"
             )
-        environment = {**os.environ, "PYTHONPATH": str(work), "XDG_CACHE_HOME": str(folder / "cache"), "HOME": str(folder)}
+        environment = {"XDG_CACHE_HOME": str(folder / "cache"), **os.environ, "PYTHONPATH": str(work), "HOME": str(folder)}
         printed = [run(python.with_name(words[0]), *words[1:], cwd=work, env=environment) for words in JOB]
         counted = json.loads(printed[2])
         print(f"{wheel.name}: {len(JOB)} commands ran outside the checkout, {len(counted)} results")
