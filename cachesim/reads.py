@@ -19,14 +19,17 @@ from nptrace_base.jit import kernel
 READS = ("own", "children", "merged")
 
 
-def reads_of(source: Any, reads: str, line_bytes: int) -> Any:
-    """Return a source whose visits read what ``reads``, one of ``READS``, says; ``line_bytes`` matters for merged."""
+def reads_of(source: Any, reads: str, line_bytes: int, flush: str = "never") -> Any:
+    """Return a source whose visits read what ``reads``, one of ``READS``, says.
+
+    ``line_bytes`` and ``flush`` matter for merged: what empties the cache after a ray empties the unit's line too.
+    """
     if reads == "own":
         return source
     if isinstance(source, DinSource):
         raise NptraceError(f"{source.identity.run} has addresses, not visits, so reads must be own, not {reads}")
     if reads == "merged":
-        return MergedReads(source, line_bytes)
+        return MergedReads(source, line_bytes, is_emptied=flush == "ray")
     if reads == "children":
         return ChildReads(source)
     raise NptraceError(f"{reads!r} is not what a visit can read; choose one of {', '.join(READS)}")
@@ -73,8 +76,9 @@ class ChildReads(_Derived):
 class MergedReads(_Derived):
     """Visits within the line, or lines, that the last visit read are no accesses; requests are as they were."""
 
-    def __init__(self, source: RunSource, line_bytes: int) -> None:
+    def __init__(self, source: RunSource, line_bytes: int, *, is_emptied: bool = False) -> None:
         super().__init__(source)
+        self._is_emptied = is_emptied
         self._first, self._n_lines = source.lines(line_bytes, 0).of_nodes()
         self._line_bytes = line_bytes
 
@@ -83,7 +87,7 @@ class MergedReads(_Derived):
         last = np.array([-1, -1], np.int64)
         for nodes, access_types in self._source.events(prefetch):
             read, read_types = np.empty(nodes.size, np.uint32), np.empty(nodes.size, np.uint8)
-            n = merge_reads(nodes, access_types, self._first, self._n_lines, last, read, read_types)
+            n = merge_reads(nodes, access_types, self._first, self._n_lines, last, self._is_emptied, read, read_types)
             yield read[:n], read_types[:n]
 
     def lines(self, line_bytes: int, ahead: int) -> NodeLines:
@@ -120,12 +124,17 @@ def read_children(nodes, access_types, parent, child, last, read, read_types):
 
 
 @kernel
-def merge_reads(nodes, access_types, first, n_lines, last, read, read_types):
-    """Copy the requests, and the visits of other lines than ``last`` (the lowest line, and how many). Return how many."""
+def merge_reads(nodes, access_types, first, n_lines, last, is_emptied, read, read_types):
+    """Copy the requests, and the visits of other lines than ``last`` (the lowest line, and how many). Return how many.
+
+    With ``is_emptied`` a ray, which starts at the root, finds no line.
+    """
     n = np.uint64(0)
     for i in range(nodes.size):
         node = nodes[i]
         if access_types[i] != REQUEST:
+            if node == 0 and is_emptied:
+                last[1] = 0
             line, count = np.int64(first[node]), np.int64(n_lines[node])
             if line >= last[0] and line + count <= last[0] + last[1]:
                 continue

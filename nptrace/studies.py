@@ -83,7 +83,7 @@ def replayed(
     results: list[Result] = []
     for opened in _opened(sources, layouts):
         opened.check_passes(len(policies))
-        source: Source = reads_of(opened, reads, configs[0].line_bytes)
+        source: Source = reads_of(opened, reads, configs[0].line_bytes, flush)
         if flush == "ray":
             source = FlushedSource(source, configs)
         for policy in policies:

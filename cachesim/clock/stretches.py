@@ -33,7 +33,7 @@ class Stretches:
         self.n_rays = self._numbers.size
         self._types = rays["type"][self._numbers]
         self._waits_for = shadows_wait(
-            rays["x"][self._numbers].astype(np.int64) + (rays["y"][self._numbers].astype(np.int64) << 16),
+            rays["x"][self._numbers].astype(np.int64) + rays["y"][self._numbers] * np.int64(source.run.footer.width),
             self._types == PRIMARY,
         )
 

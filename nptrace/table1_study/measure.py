@@ -30,7 +30,7 @@ def measured(run: TracedRun, settings: Iterable[Setting]) -> Iterator[tuple[Sett
         configs = [CacheConfig(each.size_bytes, each.ways, each.line_bytes, policy) for each in caches()]
         placed = run.source(layout)
         n_lines = lines_touched(run, placed.lines(configs[0].line_bytes, 0).of_nodes())
-        source = reads_of(placed, reads, configs[0].line_bytes)
+        source = reads_of(placed, reads, configs[0].line_bytes, flush)
         if flush == "ray":
             source = FlushedSource(source, configs)
         for setting in group:
