@@ -38,13 +38,13 @@ def answer(cog) -> None:
         many = _range(_speed_ups(rays, tree=tree, prefetch=PUSH, rays="64"))
         cheap = [_without_unit(compared, run, 1.1) for run in _runs(compared, tree)]
         text = (
-            f"- **{title}.** One ray in flight: the paper's unit gives {unit}x, asking at the push {push}x; with 64 rays in "
+            f"- **{title}.** One ray in flight: the paper's unit gives {unit}x, a request at the push {push}x; with 64 rays "
         )
-        text += f"flight the push gives {many}x. "
+        text += f"in flight, the push gives {many}x. "
         found = [row for row in cheap if row]
         if found:
             gains = _range([float(row["speed_up"]) for row in found])
-            text += f"Without any unit, a longer line or another layout at no more than 1.1 of the bytes gives {gains}x."
+            text += f"Without any unit, a longer line or another layout with at most 1.1 times the bytes gives {gains}x."
         cog.outl(text)
 
 

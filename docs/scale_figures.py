@@ -28,7 +28,7 @@ def study(cog) -> None:
     for n, work in dict.fromkeys((row["accesses"], row["work"]) for row in rows):
         of = [row for row in rows if (row["accesses"], row["work"]) == (n, work)]
         cells = [f"{_time(float(row['wall s']))}, {100 * float(row['efficiency']):.0f} %" for row in of]
-        cog.outl(f"| 10^{len(n) - 1} | {work} | {float(of[0]['core hours']):,.3g} | {' | '.join(cells)} |")
+        cog.outl(f"| 10^{len(n) - 1} | {work} | {_three(float(of[0]['core hours']))} | {' | '.join(cells)} |")
 
 
 def limits(cog) -> None:
@@ -42,7 +42,7 @@ def limits(cog) -> None:
         half = f"{int(most['workers']):,} workers are busy at least half of the time" if most else "workers mostly wait"
         cog.outl(
             f"- {WORDS[work]} of 10^{len(n) - 1} accesses: {half}; the least time is {_time(float(best['wall s']))} on "
-            f"{int(best['workers']):,}, which send {float(best['summaries MB']):,.3g} MB of summaries."
+            f"{int(best['workers']):,}, which send {_three(float(best['summaries MB']))} MB of summaries."
         )
 
 
@@ -52,10 +52,15 @@ def causes(cog) -> None:
     for n in dict.fromkeys(row["workers"] for row in rows):
         of = sorted((row for row in rows if row["workers"] == n), key=lambda row: -float(row["saved s"]))
         parts = [f"{row['without']} {_time(max(float(row['saved s']), 0.0))}" for row in of]
-        cog.outl(f"- {int(n):,} workers take {_time(float(of[0]['wall s']))}, of which cost {', '.join(parts)}.")
+        cog.outl(f"- {int(n):,} workers take {_time(float(of[0]['wall s']))}: {', '.join(parts)}.")
 
 
 def _time(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:,.3g} h"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{_three(seconds / 3600)} h"
+
+
+def _three(value: float) -> str:
+    """Return three digits of a number, without an exponent."""
+    return f"{float(f'{value:.3g}'):,g}"

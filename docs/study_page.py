@@ -45,7 +45,7 @@ def knobs(cog: Any) -> None:
             values.append((f"{TREES[tree]}: " if knob.values[KD] != knob.values[BVH] else "") + " ".join(shown))
         cog.outl(f"| {knob.title} (`{knob.name}`) | {'; '.join(values)} | {knob.decided} | {knob.evidence} |")
     for knob in SCENE_KNOBS:
-        cog.outl(f"| {knob.title} | see below | {knob.decided} | {knob.evidence} |")
+        cog.outl(f"| {knob.title} | `nptrace/table1_study/cameras.py` | {knob.decided} | {knob.evidence} |")
 
 
 def measured(cog: Any) -> None:

@@ -27,7 +27,7 @@ def summarise(
     Raises
     ------
     NptraceError
-        A value is wrong, parts cannot be counted apart (fifo, random, opt, next-line), or the run cannot be read.
+        A value is wrong, parts cannot be counted apart (fifo, random, opt, next-line at misses), or the run cannot be read.
     """
     from cachesim.parts import parse_part
     from nptrace.studies import summarised
