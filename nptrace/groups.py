@@ -36,12 +36,14 @@ class Interrupt:
     AGAIN = 0.1
 
     def __init__(self) -> None:
-        self.is_seen = False
+        self.is_seen = self.is_over = False
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where it is ignored, as behind nohup
             signal.signal(signal.SIGINT, self._leave)
             signal.signal(signal.SIGALRM, self._leave_again)
 
     def _leave(self, number: int, frame: object) -> None:
+        if self.is_over:  # nothing is left to clean up, and Python, which ends, would drop an exception
+            os._exit(INTERRUPTED)
         if not self.is_seen:
             self.is_seen, self._time = True, time.monotonic()
             sys.unraisablehook = lambda error: None  # it may be seen in a place that cannot be left
@@ -51,9 +53,9 @@ class Interrupt:
             os._exit(INTERRUPTED)
 
     def _leave_again(self, number: int, frame: object) -> None:
-        """Leave, unless the blocks that clean up are at work: they handle the exception."""
+        """Leave, unless the blocks that clean up are at work: they handle the exception, or close a generator."""
         error = sys.exc_info()[1]
-        while error is not None and not isinstance(error, SystemExit):
+        while error is not None and not isinstance(error, SystemExit | GeneratorExit):
             error = error.__context__
         if error is None:
             raise SystemExit(INTERRUPTED)
@@ -158,6 +160,7 @@ class Commands(click.Group):
         try:
             return super().__call__(**kwargs)
         finally:
+            interrupt.is_over = True
             if interrupt.is_seen:
                 os._exit(INTERRUPTED)  # threads may be busy for seconds; what they wrote is deleted by now
 

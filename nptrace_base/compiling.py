@@ -30,7 +30,7 @@ def started(folder: Path | None) -> None:
         number = n_compiled
     if number == 1 and announce is not None:
         # How long everything takes is said once, by the first command after an installation or a change.
-        is_first = folder is None or next(folder.glob("*/*.nbi"), None) is None
+        is_first = folder is None or next(folder.glob("*/*.nbc"), None) is None
         how_long = " (all of it takes a minute or two)" if is_first else ", kernels that only this command needs"
         announce(f"compiling for this machine, once{how_long}" + (f": kept in {folder}" if folder else ""))
     if watch is not None:

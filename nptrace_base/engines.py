@@ -63,12 +63,14 @@ class Engine:
             # One task that kills its worker takes those beside it along: after a round in vain they go one by one.
             chosen = list(left) if not in_vain else [list(left)[(in_vain - 1) % n_before]]
             reason: BaseException | None = None
+            others = set(multiprocessing.active_children())
             executor = self._start()
             try:
                 futures: dict[Future[_T], int] = {}
                 try:
-                    for number in chosen:
-                        futures[executor.submit(function, *left[number])] = number
+                    with _interrupts_held():  # processes start here
+                        for number in chosen:
+                            futures[executor.submit(function, *left[number])] = number
                 except self._lost as e:
                     reason = e
                 for future in as_completed(futures):
@@ -84,16 +86,31 @@ class Engine:
                     future.cancel()
                 if self._can_restart:
                     executor.shutdown(wait=False, cancel_futures=True)
+                    for process in set(multiprocessing.active_children()) - others:
+                        process.terminate()  # or the program would wait for what it has no use for
                 raise
             if self._can_restart:
                 executor.shutdown()
-            if reason is not None:
-                in_vain = in_vain + 1 if len(left) == n_before else 0
-                if in_vain == _ROUNDS or not self._can_restart:
-                    raise WorkersLostError(
-                        f"{self._what} was lost ({type(reason).__name__}) with {len(left)} of {len(tasks)} tasks left; give "
-                        "workers more memory or take fewer, and start the same command again, which goes on from there"
-                    ) from reason
+            in_vain = in_vain + 1 if len(left) == n_before else 0
+            if reason is not None and (in_vain == _ROUNDS or not self._can_restart):
+                guard = "" if len(left) < len(tasks) else " (a script that asks for workers needs if __name__ == '__main__':)"
+                raise WorkersLostError(
+                    f"{self._what} was lost ({type(reason).__name__}) with {len(left)} of {len(tasks)} tasks left; give "
+                    f"workers more memory or take fewer, and start the same command again, which goes on from there{guard}"
+                ) from reason
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back: processes that start meanwhile hold it too until they have taken their stand to it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def processes(n: int) -> Engine:
@@ -124,6 +141,8 @@ def _begin_tracker() -> None:
 def _begin_worker() -> None:
     """Leave Ctrl-C to the process that started this one, and end with it, however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     parent = multiprocessing.parent_process()
 
     def wait() -> None:

@@ -10,22 +10,25 @@ full one, kernels are compiled again each time. Importing this module touches no
 
 import hashlib
 import os
+import pickle
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, partial, wraps
+from glob import escape
 from pathlib import Path
-from typing import IO, Any, ClassVar
+from typing import Any, ClassVar
 
 import llvmlite
 import llvmlite.binding as llvm
 import numba
 import numpy as np
 from numba.core import event
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.runtime import rtsys
+from numba.core.serialize import dumps
 from numba.extending import intrinsic
 from platformdirs import user_cache_path
 
@@ -144,14 +147,38 @@ def _stamp(file: Path) -> str:
     return digest_of([file]) if file.is_relative_to(ROOT) else hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-class _Files(IndexDataCacheFile):
-    """The files of one kernel, written as all our files are."""
+class _Files:
+    """The files of one kernel, one for each signature, named by all that its code depends on.
 
-    @contextmanager
-    def _open_for_write(self, path: str) -> Iterator[IO[bytes]]:
-        Path(path).parent.mkdir(mode=0o700, exist_ok=True)
-        with replacing(Path(path)) as temporary, open(temporary, "wb") as file:
-            yield file
+    Numba keeps an index of them. Two processes that compile two signatures of a kernel at a time can then each overwrite the
+    other's code, and the index goes on to name it.
+    """
+
+    def __init__(self, folder: str, name: str, stamp: str) -> None:
+        self._folder, self._name, self._stamp = Path(folder), name, stamp
+
+    def _path(self, key: Any) -> Path:
+        digest = hashlib.sha256(repr((self._stamp, key)).encode()).hexdigest()[:16]
+        return self._folder / f"{self._name}.{digest}.nbc"
+
+    def load(self, key: Any) -> Any:
+        """Return what was saved under a key, None if nothing was."""
+        try:
+            found, data = pickle.loads(self._path(key).read_bytes())
+        except FileNotFoundError:
+            return None
+        return data if found == key else None
+
+    def save(self, key: Any, data: Any) -> None:
+        """Save data under a key."""
+        self._folder.mkdir(mode=0o700, exist_ok=True)
+        with replacing(self._path(key)) as temporary:
+            temporary.write_bytes(dumps((key, data)))
+
+    def flush(self) -> None:
+        """Forget all signatures."""
+        for path in self._folder.glob(f"{escape(self._name)}.*.nbc"):
+            path.unlink(missing_ok=True)
 
 
 class _Kept(CompileResultCacheImpl):
@@ -175,7 +202,8 @@ class _Cache(FunctionCache):
                 self._is_kept = False
                 return False
             impl = self._impl
-            self._cache_file = _Files(self._cache_path, impl.filename_base, impl.locator.get_source_stamp())
+            files: Any = _Files(self._cache_path, impl.filename_base, impl.locator.get_source_stamp())
+            self._cache_file = files
             self._is_open = True
         return self._is_kept
 

@@ -152,7 +152,7 @@ MUTATIONS = [
     Mutation("fold: open at its first level alone", LE, "np.cumsum(opened, axis=0)", "opened", f"{FOLD} -k associat"),
     Mutation("fold: the order of last accesses is that of the first", RE, 'whole._use(arrays["order"])', 'whole._use(arrays["first_ids"])', f"{FOLD} -k stack"),
     Mutation("parts: cut anywhere", "traces/run.py", "                if begins.any():\n                    return row + int(begins.argmax())\n", "                return row\n", f"{PARTS} -k share"),
-    Mutation("parts: a pool that broke is the end", "nptrace_base/engines.py", "if in_vain == _ROUNDS or not self._can_restart:", "if True:", f"{PARTS} -k killed"),
+    Mutation("parts: a pool that broke is the end", "nptrace_base/engines.py", "if reason is not None and (in_vain == _ROUNDS or not self._can_restart):", "if True:", f"{PARTS} -k killed"),
     Mutation("files: a gap is nothing", SF, "if part.rows.start > row:", "if False:", f"{PARTS} -k gaps"),
     Mutation("files: an overlap is nothing", SF, "if part.rows.start < row:", "if False:", f"{PARTS} -k gaps"),
     Mutation("files: other questions are answered too", SF, "if part.asked != first.asked:", "if False:", f"{PARTS} -k gaps"),

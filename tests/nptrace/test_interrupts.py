@@ -85,6 +85,14 @@ def test_a_command_ends_quietly_and_leaves_nothing(folder, name, wait):
     assert left == before
 
 
+@pytest.mark.parametrize("wait", [0.3, 1.0, 1.4, 3.0])
+def test_workers_end_quietly_with_the_program(folder, wait):
+    """Also those that are about to start."""
+    args = ["render", "soup.obj", "--accel", "bvh", "--pixels", "8000x8000", "--workers", "2"]
+    process = start(folder, "nptrace", args, stderr=subprocess.PIPE)
+    assert interrupt(process, wait) == (130, "", [])
+
+
 SWALLOWS = """
 import time
 from nptrace.groups import Interrupt

@@ -60,6 +60,25 @@ def test_one_task_that_kills_does_not_take_the_others_along():
             results(lambda x, bad=bad: x == bad)
 
 
+def test_losses_count_only_in_a_row():
+    """Workers that are lost now and then do not add up to an end, and after a loss all tasks run side by side again."""
+    sizes = []
+
+    class Now(Flaky):
+        def submit(self, function, *args):
+            sizes[-1] += 1
+            return super().submit(function, *args)
+
+    def start():
+        sizes.append(0)
+        is_lost = len(sizes) % 2 == 1 and len(sizes) < 11
+        return Now(lambda x: is_lost)
+
+    engine = Engine(start, "a worker process", can_restart=True)
+    assert dict(engine.results(square, [(2 * x,) for x in range(10)])) == {x: 4 * x * x for x in range(10)}
+    assert sizes == [10, 1, 9, 1, 8, 1, 7, 1, 6, 1, 5]
+
+
 def test_results_that_came_before_the_end_are_given():
     engine = Engine(lambda: Flaky(lambda x: x == 2), "a worker process", can_restart=True)
     found = {}

@@ -7,10 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
 
 from nptrace_base import compiling, jit, sources
 from nptrace_base.folders import private_folder
+from nptrace_base.jit import _Files
 from rtrace.trees import tree_cache
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -104,10 +106,24 @@ def test_a_damaged_kernel_is_compiled_again(tmp_path):
     replay(tmp_path, **kept)
     files = [p for p in (tmp_path / "kept").rglob("*") if p.is_file()]
     assert len(files) > 4
-    for path in files:
-        path.write_bytes(path.read_bytes()[:-20] if path.suffix == ".nbi" else b"\x80\x05garbage")
+    for i, path in enumerate(files):
+        path.write_bytes(path.read_bytes()[:-20] if i % 2 else b"\x80\x05garbage")
     assert replay(tmp_path, **kept)[0].startswith("compiling for this machine")
     assert replay(tmp_path, **kept) == []
+
+
+def test_signatures_have_files_of_their_own(tmp_path):
+    """Two processes that compile them at a time do not meet, as they would in an index of one kernel's files."""
+    one, other = (_Files(str(tmp_path), "kernel-1.py311", "source") for _ in range(2))
+    keys = [(numba.typeof(value), ("cpu",), ("code",)) for value in (1, 1.5)]
+    one.save(keys[0], "integers")
+    other.save(keys[1], "floats")
+    assert [one.load(key) for key in keys] == [other.load(key) for key in keys] == ["integers", "floats"]
+    assert _Files(str(tmp_path), "kernel-1.py311", "other source").load(keys[0]) is None
+    shutil.copy(one._path(keys[0]), one._path(keys[1]))
+    assert other.load(keys[1]) is None  # what is in a file decides, not its name
+    one.flush()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_importing_touches_no_folder(tmp_path):
