@@ -117,6 +117,10 @@ class Timing:
         }  # fmt: skip
 
 
+#: Bytes that a job keeps for each line of the nodes, about, and that all jobs of a pass may keep.
+_LINE_BYTES, _MOST_BYTES = 16, 1 << 31
+
+
 class Job:
     """One cache on one machine under one policy, stepping through the stretches."""
 
@@ -192,9 +196,21 @@ def time_run(
     policies = [parse_prefetch("stack") if each.kind == "traced" else each for each in policies]  # the same requests, timed
     stretches = Stretches(source)
     check(configs, clocks, stretches.n_rays)
-    none = parse_prefetch("none")
-    wanted = [(config, clock, prefetch) for config, clock in product(configs, clocks) for prefetch in (none, *policies)]
     workshop = Workshop(source, threads or os.cpu_count() or 1, progress, by)
+    machines, results = list(product(configs, clocks)), []
+    n_lines = max((workshop.tree(config.line_bytes)[1] for config in configs), default=0)
+    at_a_time = max(1, _MOST_BYTES // (_LINE_BYTES * max(n_lines, 1) * (1 + len(policies))))
+    for start in range(0, len(machines), at_a_time):
+        results += _time_together(workshop, stretches, machines[start : start + at_a_time], policies)
+    return results
+
+
+def _time_together(
+    workshop: "Workshop", stretches: Stretches, machines: Sequence[tuple[CacheConfig, Clock]], policies: Sequence[Prefetch]
+) -> list[Timing]:  # fmt: skip
+    """Time some caches on their machines under every policy, all in one pass through the run, or two with a scout."""
+    none = parse_prefetch("none")
+    wanted = [(*machine, prefetch) for machine in machines for prefetch in (none, *policies)]
     scouting = [workshop.job(*each, is_scout=True) for each in wanted]
     scouts = [job for job in scouting if job is not None]
     if scouts:
@@ -207,7 +223,7 @@ def time_run(
         if prefetch is none:
             without = job
         else:
-            results.append(_timing(source, config, clock, job, without))
+            results.append(_timing(workshop.source, config, clock, job, without))
     return results
 
 
@@ -231,7 +247,7 @@ class Workshop:
         self, source: RunSource, threads: int, progress: Callable[[int], object] | None = None, by: str = BY[0], *,
         is_whole: bool = True,
     ) -> None:  # fmt: skip
-        self._source, self._threads, self._progress, self._by = source, threads, progress, BY.index(by)
+        self.source, self._threads, self._progress, self._by = source, threads, progress, BY.index(by)
         self._trees: dict[int, tuple[Tree, int]] = {}
         self._boxes = source.run.footer.tree.node_format.boxes
         self._rays = cache(lambda: traced_rays(source.run)) if is_whole else None
@@ -246,7 +262,7 @@ class Workshop:
             return None
         tree, n_lines = self.tree(config.line_bytes)
         machine = make_machine(tree, clock.rays, n_lines)
-        run = self._source.run
+        run = self.source.run
         facts = Facts(run.footer.tree.node_bytes, config.line_bytes, run.n_accesses, self._rays)
         unit = self._unit(policy, machine, facts, prefetch.options, is_scout, scout)
         if unit is None:
@@ -262,7 +278,7 @@ class Workshop:
 
     def log(self, config: CacheConfig, clock: Clock, prefetch: Prefetch, n_events: int) -> list[list[int]]:
         """Return events of one job from the middle of the run on, as ``kernel._note`` keeps them."""
-        stretches = Stretches(self._source)
+        stretches = Stretches(self.source)
         scout = self.job(config, clock, prefetch, is_scout=True)
         if scout is not None:
             self.run_all([scout], stretches)
@@ -283,7 +299,7 @@ class Workshop:
     def tree(self, line_bytes: int) -> tuple[Tree, int]:
         """Return ``tree_of`` the source, which is read once; not by several threads at a time."""
         if line_bytes not in self._trees:
-            self._trees[line_bytes] = tree_of(self._source, line_bytes)
+            self._trees[line_bytes] = tree_of(self.source, line_bytes)
         return self._trees[line_bytes]
 
     def run_all(self, jobs: Sequence[Job], stretches: Stretches) -> None:

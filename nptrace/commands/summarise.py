@@ -32,7 +32,8 @@ def summarise(
 ) -> None:  # fmt: skip
     """Replay a part of a run, and write a summary from which npcache combine makes the exact results of the whole run.
 
-    The options are those of npcache replay. Each part can run on another machine, at any time.
+    The options are those of npcache replay, but LRU is the only replacement, and next-line:always the only next-line policy:
+    what others do depends on all that went before. Each part can run on another machine, at any time.
 
     \b
     npcache summarise traces/bunny-bvh --part 1/2 --size 8K --assoc 2 -o 1.sum

@@ -6,21 +6,22 @@ from pathlib import Path
 import click
 
 from cachesim.config import parse_bytes
+from nptrace.groups import Command
 from nptrace.options import list_option, threads_option, ways_option, workers_options
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import PlaceOf, again, chosen_sources, traces_option
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, again, chosen_sources, traces_option, untimed_policies
 from nptrace_base.places import Place
 
 
-@click.command()
+@click.command(cls=Command, lists={"Prefetch policies": untimed_policies})
 @click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @list_option("--size", item=str, metavar="SIZES", default="4K..64K", help="Cache sizes and ranges, e.g. 4K..64K,96K.")
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
-@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help="Prefetch policy: none, traced, stack[:...].")
-@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help="Node layout, as in npcache replay.")
+@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
+@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @threads_option()
 @workers_options
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
@@ -32,7 +33,8 @@ def sweep(
 ) -> None:  # fmt: skip
     """Count the misses of every LRU cache in ranges of size, associativity and line, exactly, in one pass over each trace.
 
-    A cache is in the sweep if its size lies in a range and its number of sets is a power of two.
+    A cache is in the sweep if its size lies in a range and its number of sets is a power of two. Of the next-line policies only
+    next-line:always can be swept.
 
     \b
     npcache sweep --size 4K..64K --ways 1..16 --line 32,64 -o sweep.parquet --plot sweep.png

@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cachesim.clock import timing
 from cachesim.clock.parameters import PRESETS
 from cachesim.clock.stretches import NOTHING, THE_RAY_BEFORE, shadows_wait
 from cachesim.clock.timing import time_run
 from cachesim.config import CacheConfig
+from cachesim.source import RunSource
 from tests.reference.traces import make_trace, write
 from traces.reader import Run
 
@@ -18,7 +20,7 @@ def test_where_batches_end_changes_nothing(kind, tmp_path, monkeypatch):
     run = write(make_trace(kind, 21, n_rays=60, max_level=7), tmp_path / "run")
     clocks = [PRESETS["paper"].clock.with_numbers(rays=rays, miss=30) for rays in (1, 4, 16)]
     config = [CacheConfig(512, 2, 64)]
-    whole = [timing.to_dict() for timing in time_run(run, config, clocks, ["stack", "oracle"])]
+    whole = [each.to_dict() for each in time_run(run, config, clocks, ["stack", "oracle"])]
     batches = Run.batches
     for n in (1, 5, 64):
 
@@ -28,7 +30,19 @@ def test_where_batches_end_changes_nothing(kind, tmp_path, monkeypatch):
                     yield tuple(column[start : start + n] for column in columns)
 
         monkeypatch.setattr(Run, "batches", cut)
-        assert [timing.to_dict() for timing in time_run(run, config, clocks, ["stack", "oracle"])] == whole, n
+        assert [each.to_dict() for each in time_run(run, config, clocks, ["stack", "oracle"])] == whole, n
+
+
+def test_machines_that_do_not_fit_into_memory_are_timed_in_several_passes(tmp_path, monkeypatch):
+    run = write(make_trace("bvh", 21, n_rays=30, max_level=7), tmp_path / "run")
+    clocks = [PRESETS["paper"].clock.with_numbers(rays=rays, miss=30) for rays in (1, 4, 16)]
+    configs, together = [CacheConfig(512, 2, 32), CacheConfig(256, 1, 32)], []
+    passes = timing._time_together
+    monkeypatch.setattr(timing, "_time_together", lambda *args: together.append(len(args[2])) or passes(*args))
+    whole = [each.to_dict() for each in time_run(run, configs, clocks, ["stack", "oracle"])]
+    monkeypatch.setattr(timing, "_MOST_BYTES", timing._LINE_BYTES * RunSource(run).lines(32, 0).n_ids * 3 * 4)
+    assert [each.to_dict() for each in time_run(run, configs, clocks, ["stack", "oracle"])] == whole
+    assert together == [6, 4, 2]
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.booleans()), max_size=20))
