@@ -33,8 +33,8 @@ def sweep(
 ) -> None:  # fmt: skip
     """Count the misses of every LRU cache in ranges of size, associativity and line, exactly, in one pass over each trace.
 
-    A cache is in the sweep if its size lies in a range and its number of sets is a power of two. Of the next-line policies only
-    next-line:always can be swept.
+    A cache is in the sweep if its size lies in a range and its number of sets is a power of two. Of the next-line policies
+    only next-line:always can be swept.
 
     \b
     npcache sweep --size 4K..64K --ways 1..16 --line 32,64 -o sweep.parquet --plot sweep.png
