@@ -12,6 +12,7 @@ from nptrace.table1_study.analysis import Study
 from nptrace.table1_study.figures import read_rows
 from nptrace.table1_study.fit import Fits
 
+Cell = tuple[str, str, tuple[int, int]]
 OWN = ("builder", "layout", "reads")
 
 
@@ -36,3 +37,9 @@ def head(cog: Any, names: Sequence[str], n_left: int = 1) -> None:
 def row_name(tree: str, scene: str, cache: tuple[int, int]) -> str:
     """Return what a row of Table I is called."""
     return f"{TREES[tree]} {scene} {cache_text(cache)}"
+
+
+def span(values: Sequence[float], decimals: int = 1) -> str:
+    """Return the least and the largest of some values, once if they are printed alike."""
+    low, high = f"{min(values):.{decimals}f}", f"{max(values):.{decimals}f}"
+    return low if low == high else f"{low} to {high}"

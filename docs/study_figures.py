@@ -60,7 +60,7 @@ def draw_tornado(study: Study, path: Path, name: str, unit: str) -> None:
 
 def draw_truth(study: Study, path: Path) -> None:
     """Draw what the paper's metric saves against the demand misses that are saved, for every plausible setting."""
-    with drawn(path, 7.2, 3.6) as figure:
+    with drawn(path, 7.2, 4.0) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for panel, tree in zip(panels, TREES, strict=True):
             rows = [row for row in study.plausible if row["tree"] == tree and row["miss_ratio"] is not None]
@@ -70,12 +70,15 @@ def draw_truth(study: Study, path: Path) -> None:
                 panel.plot(x, y, MARKS[scene], color=colour, ms=2, alpha=0.25, mew=0, label=scene, rasterized=True)
             printed = [100 - row["miss_ratio"] for key, row in paper_table().items() if key[0] == tree]
             panel.axvspan(min(printed), max(printed), color=PAPER, alpha=0.15, lw=0)
-            panel.plot([0, 40], [0, 40], color="black", lw=0.8)
+            panel.axline((0, 0), slope=1, color="black", lw=0.8)
             panel.axhline(0, color=QUIET, lw=0.6)
-            panel.set(xlim=(0, 35), ylim=(-10, 35), title=TREES[tree])
-        figure.supxlabel("reduction of the miss rate as the paper counts it (%); shaded: what the paper prints", fontsize=8)
+            panel.set_title(TREES[tree])
+        figure.supxlabel(
+            "reduction of the miss rate as the paper counts it (%); shaded: what the paper prints; line: both alike",
+            fontsize=8,
+        )
         figure.supylabel("demand misses saved (%)", fontsize=8)
-        for mark in panels[0].legend(frameon=False, loc="upper left").legend_handles:
+        for mark in panels[0].legend(frameon=False, loc="lower right").legend_handles:
             mark.set(alpha=1, markersize=4)
 
 

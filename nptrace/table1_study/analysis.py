@@ -1,12 +1,15 @@
-"""A study's rows -> what becomes of each row of Table I: ranges, the knob that moves it most, and the one that explains it."""
+"""A study's rows -> what becomes of each row of Table I: ranges, the knob that moves it most, and whether one explains it."""
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from statistics import median
 from typing import Any, NamedTuple
 
-from cachesim.report.table1 import paper_table
+from cachesim.report.table1 import SCENES, TREES, paper_table
 from nptrace.table1_study.cameras import EDITIONS, own_camera
-from nptrace.table1_study.figures import CACHES, Row, cells, is_inside, is_plausible, octaves, span_of
+from nptrace.table1_study.figures import CACHES, Row, cells, implied, is_inside, is_plausible, octaves, setting_of, span_of
+from nptrace.table1_study.fit import LABELS
 from nptrace.table1_study.knobs import KNOBS, SCENE_KNOBS, Setting
 
 #: What a knob stands for in the causes of a row.
@@ -56,9 +59,10 @@ class Study:
         """Return the plausible rows of a row of the table in which ``knob`` alone differs; of "", in which nothing does."""
         return self._alone.get((tree, scene, cache, knob) if knob else (tree, scene, cache), [])
 
-    def of_cell(self, tree: str, scene: str, cache: tuple[int, int]) -> list[Row]:
-        """Return the plausible rows of a row of the table."""
-        return self._cells[tree, scene, cache]
+    def of_cell(self, tree: str, scene: str, cache: tuple[int, int], *, single: bool = False) -> list[Row]:
+        """Return the plausible rows of a row of the table; of single rays alone if ``single``."""
+        rows = self._cells[tree, scene, cache]
+        return [row for row in rows if row["packet"] == 1] if single else rows
 
     def default(self, tree: str, scene: str, cache: tuple[int, int]) -> Row:
         """Return the row of the program's default."""
@@ -79,11 +83,11 @@ class Range(NamedTuple):
     is_inside: bool
 
 
-def ranges(study: Study, names: Sequence[str]) -> list[Range]:
-    """Return the ranges of some figures for all rows of the table."""
+def ranges(study: Study, names: Sequence[str], *, single: bool = False) -> list[Range]:
+    """Return the ranges of some figures for all rows of the table; those of single rays alone if ``single``."""
     found = []
     for (tree, scene, cache), name in ((cell, name) for cell in cells() for name in names):
-        of = study.of_cell(tree, scene, cache)
+        of = study.of_cell(tree, scene, cache, single=single)
         low, high = span_of(of, name)
         paper = paper_table()[tree, scene, *cache][name]
         default = study.default(tree, scene, cache)[name]
@@ -122,54 +126,155 @@ def tornado(study: Study, tree: str, scene: str, name: str) -> list[Swing]:
     return sorted(found, key=lambda swing: -swing.width)
 
 
-class Cause(NamedTuple):
-    """The change of one knob that brings a figure of a row of the table nearest to the paper's.
+class Nearest(NamedTuple):
+    """The one value of one knob that brings a figure nearest to the paper's in all four caches of a scene and tree at once.
 
     Attributes
     ----------
+    label : str
+        The scene whose values the paper's are taken to be: ``scene``, or another as a placebo.
     knob, value : str
-        "" if no change does better than the default.
-    before, after, paper : float
+        "" if no value does better than the default.
+    off, left : dict
+        Ours - the paper's in points, by cache: by default, and under the value.
+    before, after : float
+        The largest distance of the four caches, by default and under the value: of ``miss_a`` in octaves, of others in points.
     """
 
     tree: str
     scene: str
-    cache: tuple[int, int]
     name: str
+    label: str
     knob: str
     value: str
+    off: dict[tuple[int, int], float]
+    left: dict[tuple[int, int], float]
     before: float
     after: float
-    paper: float
 
     @property
-    def cause(self) -> str:
-        """What the knob stands for."""
-        return CAUSES[self.knob] if self.knob else "none"
-
-    @property
-    def left(self) -> float:
-        """What is left, in points."""
-        return self.after - self.paper
+    def is_near(self) -> bool:
+        """Whether the default leaves nothing to explain."""
+        return max(map(abs, self.off.values())) <= NEAR
 
 
 #: The default explains what is this near, in points: other settings change the figure by as much without a reason.
 NEAR = 0.5
+#: A value explains a scene if it leaves at most this part of the default's distance,
+LESS = 0.5
+#: and causes are named if fewer than this part of all ways to exchange the scenes' values explains as many.
+CHANCE = 0.05
 
 
-def causes(study: Study, name: str) -> list[Cause]:
-    """Return the cause of each row of the table for a figure; none where the default is within ``NEAR``."""
-    found = []
+def nearest(study: Study, tree: str, scene: str, name: str, label: str) -> Nearest:
+    """Return the value of one knob that brings a figure of a scene nearest to the paper's values of scene ``label``."""
+    paper = {cache: paper_table()[tree, label, *cache][name] for cache in CACHES}
+    found: dict[tuple[str, str], dict[tuple[int, int], float]] = {}
+    for knob in ("", *(each.name for each in (*KNOBS, *SCENE_KNOBS))):
+        for cache in CACHES:
+            for row in study.alone(tree, scene, cache, knob):
+                if row[name] is not None:
+                    found.setdefault((knob, str(row[knob]) if knob else ""), {})[cache] = row[name]
+    far = {
+        key: max(abs(octaves(paper[cache], ours) if name == "miss_a" else ours - paper[cache]) for cache, ours in of.items())
+        for key, of in found.items()
+        if len(of) == len(CACHES)
+    }
+    best = min(far, key=lambda key: far[key])
+    off, left = ({cache: of[cache] - paper[cache] for cache in CACHES} for of in (found["", ""], found[best]))
+    return Nearest(tree, scene, name, label, *best, off, left, far["", ""], far[best])
+
+
+class Causes(NamedTuple):
+    """What one knob explains of a figure, in every scene and tree, with the paper's own values and with those of other scenes.
+
+    Attributes
+    ----------
+    found : dict
+        By tree, scene and label.
+    """
+
+    found: dict[tuple[str, str, str], Nearest]
+
+    def explains(self, tree: str, scene: str, label: str) -> bool:
+        """Return whether a value halves the distance to the values of ``label``, and leaves less than of any other scene's."""
+        of = self.found[tree, scene, label]
+        others = [self.found[tree, scene, each].after for each in SCENES if each != label]
+        return not of.is_near and of.after <= LESS * of.before and of.after < min(others)
+
+    def count(self, labels: Mapping[str, str]) -> int:
+        """Return how many scenes and trees are explained if the paper's values of each scene are those of its label."""
+        return sum(self.explains(tree, scene, labels[scene]) for tree in TREES for scene in SCENES)
+
+    @property
+    def chance(self) -> float:
+        """The part of all ways to exchange the scenes' values that explains at least as many as the own ones, among them."""
+        counts = [self.count(labels) for labels in LABELS]
+        return sum(count >= counts[0] for count in counts) / len(counts)
+
+    def cause(self, tree: str, scene: str) -> str:
+        """Return what explains a scene: a cause, "default", or "not identified"."""
+        of = self.found[tree, scene, scene]
+        if of.is_near:
+            return "default"
+        is_named = self.chance < CHANCE and self.explains(tree, scene, scene)
+        return CAUSES[of.knob] if is_named else "not identified"
+
+
+def causes(study: Study, name: str) -> Causes:
+    """Return what one knob explains of a figure."""
+    return Causes(
+        {
+            (tree, scene, label): nearest(study, tree, scene, name, label)
+            for tree, scene, label in product(TREES, SCENES, SCENES)
+        }
+    )
+
+
+class Possible(NamedTuple):
+    """How many rows of the table a study's settings give: of 32, and of the 8 scenes and trees.
+
+    Attributes
+    ----------
+    miss_a, miss_ratio : int
+        Rows whose value lies inside the range.
+    both : int
+        Rows that one setting and view gives: A within ``CLOSE`` of its value, and B/A within ``NEAR`` points.
+    sized : int
+        Those of them whose demand accesses are within ``SIZED`` of what the paper's rows imply too.
+    four : int
+        Scenes and trees whose four caches one setting and view gives, whatever its accesses.
+    """
+
+    miss_a: int
+    miss_ratio: int
+    both: int
+    sized: int
+    four: int
+
+
+#: Parts of a value that A may be off, and the accesses.
+CLOSE, SIZED = 0.05, 0.25
+
+
+def possible(study: Study, *, single: bool = False) -> Possible:
+    """Return how many rows of the table are possible, and by single rays alone."""
+    found = ranges(study, ["miss_a", "miss_ratio"], single=single)
+    inside = Counter(each.name for each in found if each.is_inside)
+    both = sized = 0
+    settings: dict[tuple[str, str], list[set[tuple[Any, ...]]]] = {}
     for tree, scene, cache in cells():
-        paper, usual = paper_table()[tree, scene, *cache][name], study.default(tree, scene, cache)
-        best, knob = usual, ""
-        for each in () if abs(usual[name] - paper) <= NEAR else (*KNOBS, *SCENE_KNOBS):
-            for row in study.alone(tree, scene, cache, each.name):
-                if row[name] is not None and abs(row[name] - paper) < abs(best[name] - paper):
-                    best, knob = row, each.name
-        value = str(best[knob]) if knob else ""
-        found.append(Cause(tree, scene, cache, name, knob, value, usual[name], best[name], paper))
-    return found
+        paper, accesses = paper_table()[tree, scene, *cache], sum(implied(tree, scene).accesses) / 2
+        rows = [
+            row
+            for row in study.of_cell(tree, scene, cache, single=single)
+            if abs(row["miss_a"] / paper["miss_a"] - 1) <= CLOSE and abs(row["miss_ratio"] - paper["miss_ratio"]) <= NEAR
+        ]
+        both += bool(rows)
+        sized += any(abs(row["demand_accesses"] / accesses - 1) <= SIZED for row in rows)
+        settings.setdefault((tree, scene), []).append({(setting_of(row), row["version"], row["camera"]) for row in rows})
+    four = sum(bool(set.intersection(*of)) for of in settings.values())
+    return Possible(inside["miss_a"], inside["miss_ratio"], both, sized, four)
 
 
 class Split(NamedTuple):

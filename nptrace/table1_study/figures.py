@@ -61,13 +61,17 @@ class Paper(NamedTuple):
     accesses : (low, high)
         Demand accesses: bytes from memory / line bytes / miss rate.
     p : (low, high)
-        Prefetches / demand accesses: B/A of the bytes / B/A of the miss rates - 1.
+        Prefetches / demand accesses: B/A of the bytes / B/A of the miss rates - 1. Where no p rounds to all four rows, the
+        interval that lies between theirs.
+    p_gap : float
+        How far the intervals of the four rows are apart; 0 if some p rounds to all of them.
     lines : int
         The fewest misses that any of the four caches has: lines that the trace touches at most.
     """
 
     accesses: tuple[float, float]
     p: tuple[float, float]
+    p_gap: float
     lines: int
 
 
@@ -78,7 +82,8 @@ def implied(tree: str, scene: str) -> Paper:
     high = min((row["kb_a"] + 0.5) * 1024 / LINE_BYTES / ((row["miss_a"] - 0.05) / 100) for row in rows)
     p_low = max((row["kb_ratio"] - 0.05) / (row["miss_ratio"] + 0.05) for row in rows) - 1
     p_high = min((row["kb_ratio"] + 0.05) / (row["miss_ratio"] - 0.05) for row in rows) - 1
-    return Paper((low, high), (p_low, p_high), round(min(row["kb_a"] for row in rows) * 1024 / LINE_BYTES))
+    p = min(p_low, p_high), max(p_low, p_high)
+    return Paper((low, high), p, max(p_low - p_high, 0.0), round(min(row["kb_a"] for row in rows) * 1024 / LINE_BYTES))
 
 
 @cache

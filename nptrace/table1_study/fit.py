@@ -2,13 +2,17 @@
 
 A model is one value of every knob that the four scenes share; those of the two trees may differ where a knob is a tree's own.
 The camera and the edition of a scene are unknown too, so every model may choose one view per scene, on the rows that it is
-fitted to. The loss of a row is the distance of its B/A in points and, by weight, of its miss rate A in octaves.
+fitted to. The loss of a row is the distance of its B/A in points and, by weight, of its miss rate A in octaves. What such a
+search is worth, ``placebo`` tells: it fits the same runs to the paper's values of other scenes.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import product
-from statistics import mean, median
+from collections.abc import Callable, Iterable, Sequence
+from itertools import permutations, product
+from statistics import median
 from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cachesim.report.table1 import SCENES, TREES, paper_table
 from nptrace.table1_study.figures import CACHES, Row, octaves
@@ -19,8 +23,12 @@ SHARED = ("pixels", "order", "batch", "packet", "shadow", "shadow_order", "shado
 #: Points of B/A that an octave (a factor of two) of the miss rate A is worth.
 WEIGHT = 4.0
 
-Cell = tuple[str, str, tuple[int, int]]
+#: Every way to give each scene the paper's values of a scene; the first gives each its own.
+LABELS = tuple(dict(zip(SCENES, order, strict=True)) for order in permutations(SCENES))
+
+Cache = tuple[int, int]
 View = tuple[str, str]  # edition, camera
+Floats = NDArray[np.float64]
 
 
 class Residual(NamedTuple):
@@ -28,7 +36,7 @@ class Residual(NamedTuple):
 
     tree: str
     scene: str
-    cache: tuple[int, int]
+    cache: Cache
     ratio: float  # B/A, ours - the paper's, points
     miss: float  # miss rate A, octaves
 
@@ -38,18 +46,24 @@ class Model(NamedTuple):
 
     Attributes
     ----------
+    number : int
+        Its place among the models.
     shared, own : dict
         Values of the knobs; ``own`` by tree.
     views : dict
-        Edition and camera by scene.
+        Edition and camera by scene, of those that it was fitted to.
     residuals : list of Residual
-        Of all 32 rows.
+        Of all rows of these scenes.
+    loss : float
+        That of the rows that it was fitted to.
     """
 
+    number: int
     shared: dict[str, Any]
     own: dict[str, dict[str, Any]]
     views: dict[str, View]
     residuals: list[Residual]
+    loss: float
 
 
 class Summary(NamedTuple):
@@ -70,9 +84,16 @@ def summary(residuals: Sequence[Residual]) -> Summary:
 TARGET = (1.5, 4.0)
 
 
-def beyond_target(points: Sequence[float]) -> float:
-    """Return how far distances of B/A are beyond the target: 1 is just within it."""
-    return max(median(points) / TARGET[0], max(points) / TARGET[1])
+def mean_loss(losses: Floats) -> Floats:
+    """Return the mean over the last axis."""
+    found: Floats = losses.mean(axis=-1)
+    return found
+
+
+def beyond_target(points: Floats) -> Floats:
+    """Return how far distances of B/A, along the last axis, are beyond the target: 1 is just within it."""
+    found: Floats = np.maximum(np.median(points, axis=-1) / TARGET[0], points.max(axis=-1) / TARGET[1])
+    return found
 
 
 def is_within_target(found: Summary) -> bool:
@@ -93,83 +114,102 @@ class Fits:
 
     def __init__(self, rows: Iterable[Row], own: Sequence[str]) -> None:
         self._own = tuple(own)
-        paper = paper_table()
-        #: residuals by shared knobs, tree, the tree's own, scene, view, cache
-        self._cells: dict[tuple[Any, ...], dict[str, dict[tuple[Any, ...], dict[tuple[str, View], dict[Any, Residual]]]]] = {}
+        #: place of a tree's run and replay by shared knobs, tree, the tree's own, scene and view
+        places: dict[tuple[Any, ...], dict[str, dict[tuple[Any, ...], dict[tuple[str, View], int]]]] = {}
+        figures: list[dict[Cache, tuple[float, float]]] = []
         for row in rows:
-            cache = row["size_bytes"], row["ways"]
-            wanted = paper[row["tree"], row["scene"], *cache]
             shared, mine = (tuple(row[name] for name in names) for names in (SHARED, self._own))
-            places = self._cells.setdefault(shared, {}).setdefault(row["tree"], {}).setdefault(mine, {})
-            found = Residual(
-                row["tree"], row["scene"], cache, row["miss_ratio"] - wanted["miss_ratio"],
-                octaves(wanted["miss_a"], row["miss_a"]),
-            )  # fmt: skip
-            places.setdefault((row["scene"], (row["version"], row["camera"])), {})[cache] = found
+            of = places.setdefault(shared, {}).setdefault(row["tree"], {}).setdefault(mine, {})
+            place = of.setdefault((row["scene"], (row["version"], row["camera"])), len(figures))
+            if place == len(figures):
+                figures.append({})
+            figures[place][row["size_bytes"], row["ways"]] = row["miss_ratio"], row["miss_a"]
+        self._figures = np.array([[each[cache] for cache in CACHES] for each in figures])  # place, cache, B/A and A
+        self._models: list[tuple[tuple[Any, ...], tuple[tuple[Any, ...], ...]]] = []
+        candidates: dict[str, list[tuple[int, ...]]] = {scene: [] for scene in SCENES}
+        self._views: dict[str, list[View]] = {scene: [] for scene in SCENES}
+        for shared, by_tree in places.items():
+            for mine in product(*(by_tree.get(tree, {}) for tree in TREES)):
+                first, *others = (by_tree[tree][of_tree] for tree, of_tree in zip(TREES, mine, strict=True))
+                for (scene, view), place in first.items():
+                    if all((scene, view) in each for each in others):
+                        candidates[scene].append((len(self._models), place, *(each[scene, view] for each in others)))
+                        self._views[scene].append(view)
+                self._models.append((shared, mine))
+        #: model, and place by tree, of each view of a scene
+        self._candidates = {
+            scene: np.array(of, dtype=np.int64).reshape(-1, 1 + len(TREES)) for scene, of in candidates.items()
+        }
 
-    def best(
-        self, is_known: Callable[[Residual], bool] = lambda residual: True, weight: float = WEIGHT,
-        loss: Callable[[Sequence[float]], float] = mean, scenes: Sequence[str] = SCENES,
-    ) -> Model | None:  # fmt: skip
-        """Return the model of the least loss over the rows that ``is_known`` accepts, of some scenes; None without any.
+    def __len__(self) -> int:
+        """Return the number of models."""
+        return len(self._models)
 
-        Each scene has the view of the least mean; ``loss`` is that of all rows together.
+    def best(self, *, labels: dict[str, str] = LABELS[0], **options: Any) -> Model | None:
+        """Return the model of the least loss over the rows of some caches and scenes; None without any.
+
+        Each scene has the view of the least mean; ``loss`` is that of all rows together. A scene is held to the paper's values
+        of the scene that ``labels`` names.
         """
-        best: tuple[float, Any] | None = None
-        for shared, by_tree in self._cells.items():
-            if set(by_tree) != set(TREES):
-                continue
-            known = {tree: [(own, _losses(place, is_known, weight)) for own, place in by_tree[tree].items()] for tree in TREES}
-            for mine in product(*known.values()):
-                chosen = _views([losses for _, losses in mine])
-                if not set(scenes) <= set(chosen):
-                    continue
-                value = loss([each for scene in scenes for _, losses in mine for each in losses[scene, chosen[scene]]])
-                if best is None or value < best[0]:
-                    best = value, (shared, [own for own, _ in mine], chosen)
-        return self._model(*best[1]) if best else None
+        total, chosen = self._search(labels, **options)
+        number = int(total.argmin()) if total.size else 0
+        return self._model(number, total, chosen, labels) if np.isfinite(total).any() else None
 
-    def _model(self, shared: tuple[Any, ...], mine: Sequence[tuple[Any, ...]], views: dict[str, View]) -> Model:
-        places = [self._cells[shared][tree][own] for tree, own in zip(TREES, mine, strict=True)]
+    def within(self, most: float, *, labels: dict[str, str] = LABELS[0], **options: Any) -> list[Model]:
+        """Return all models whose loss is at most ``most``, as ``best`` computes it."""
+        total, chosen = self._search(labels, **options)
+        return [self._model(int(number), total, chosen, labels) for number in np.flatnonzero(total <= most)]
+
+    def _search(
+        self, labels: dict[str, str], caches: Sequence[Cache] = CACHES, scenes: Sequence[str] = SCENES, weight: float = WEIGHT,
+        loss: Callable[[Floats], Floats] = mean_loss,
+    ) -> tuple[Floats, dict[str, NDArray[np.int64]]]:  # fmt: skip
+        """Return the loss of every model, infinite if a scene was not measured, and its candidate for each scene."""
+        chosen, losses = {}, []
+        for scene in scenes:
+            of_view = self._losses(scene, labels[scene], weight)[:, :, [CACHES.index(each) for each in caches]]
+            models, by_row = self._candidates[scene][:, 0], of_view.reshape(len(of_view), -1)
+            order = np.lexsort((by_row.sum(axis=1), models))
+            found, first = np.unique(models[order], return_index=True)
+            chosen[scene] = np.full(len(self), -1)
+            chosen[scene][found] = order[first]
+            of_model = np.full((len(self), by_row.shape[1]), np.inf)
+            of_model[found] = by_row[order[first]]
+            losses.append(of_model)
+        return loss(np.concatenate(losses, axis=1)), chosen
+
+    def _losses(self, scene: str, label: str, weight: float) -> Floats:
+        """Return the loss of each view of a scene, by tree and cache, against the paper's values of scene ``label``."""
+        ours = self._figures[self._candidates[scene][:, 1:]]
+        rows = [[paper_table()[tree, label, *cache] for cache in CACHES] for tree in TREES]
+        ratio, miss = (np.array([[row[name] for row in of] for of in rows]) for name in ("miss_ratio", "miss_a"))
+        found: Floats = np.abs(ours[..., 0] - ratio) + weight * np.abs(np.log2(ours[..., 1] / miss))
+        return found
+
+    def _model(self, number: int, total: Floats, chosen: dict[str, NDArray[np.int64]], labels: dict[str, str]) -> Model:
+        shared, mine = self._models[number]
+        candidates = {scene: int(of[number]) for scene, of in chosen.items()}
         return Model(
+            number=number,
             shared=dict(zip(SHARED, shared, strict=True)),
             own={tree: dict(zip(self._own, own, strict=True)) for tree, own in zip(TREES, mine, strict=True)},
-            views=views,
-            residuals=[each for place in places for view in views.items() for each in place[view].values()],
+            views={scene: self._views[scene][place] for scene, place in candidates.items()},
+            residuals=[each for scene, place in candidates.items() for each in self._residuals(scene, place, labels[scene])],
+            loss=float(total[number]),
         )
 
-    def under_every_view(self, model: Model, scene: str) -> list[Summary]:
+    def _residuals(self, scene: str, candidate: int, label: str) -> list[Residual]:
+        found = []
+        for tree, place in zip(TREES, self._candidates[scene][candidate, 1:], strict=True):
+            for cache, (ratio, miss) in zip(CACHES, self._figures[place].tolist(), strict=True):
+                paper = paper_table()[tree, label, *cache]
+                found.append(Residual(tree, scene, cache, ratio - paper["miss_ratio"], octaves(paper["miss_a"], miss)))
+        return found
+
+    def under_every_view(self, model: Model, scene: str, labels: dict[str, str] = LABELS[0]) -> list[Summary]:
         """Return what a model leaves of a scene's rows, for each of its views."""
-        by_tree = self._cells[tuple(model.shared[name] for name in SHARED)]
-        places = [by_tree[tree][tuple(model.own[tree][name] for name in self._own)] for tree in TREES]
-        views = [view for of, view in places[0] if of == scene and all((scene, view) in place for place in places)]
-        return [summary([each for place in places for each in place[scene, view].values()]) for view in views]
-
-
-def _losses(
-    place: Mapping[tuple[str, View], dict[Any, Residual]], is_known: Callable[[Residual], bool], weight: float
-) -> dict[tuple[str, View], list[float]]:
-    """Return the losses of the known rows of every scene and view."""
-    return {
-        where: [abs(each.ratio) + weight * abs(each.miss) for each in rows.values() if is_known(each)]
-        for where, rows in place.items()
-    }
-
-
-def _views(losses: Sequence[Mapping[tuple[str, View], list[float]]]) -> dict[str, View]:
-    """Return, for each scene, the view of the least loss among those that all have; any where no row is known."""
-    found: dict[str, tuple[float, View]] = {}
-    for scene, view in losses[0]:
-        if all((scene, view) in each for each in losses):
-            total = sum(sum(each[scene, view]) for each in losses)
-            if scene not in found or total < found[scene][0]:
-                found[scene] = total, view
-    return {scene: view for scene, (_, view) in found.items()}
-
-
-def by_cache(*known: tuple[int, int]) -> Callable[[Residual], bool]:
-    """Return what accepts the rows of some caches."""
-    return lambda residual: residual.cache in known
+        of_model = np.flatnonzero(self._candidates[scene][:, 0] == model.number)
+        return [summary(self._residuals(scene, int(each), labels[scene])) for each in of_model]
 
 
 #: Two halves of the rows of every scene and tree: each has both sizes and both numbers of ways.
@@ -180,7 +220,7 @@ def held_out_by_cache(fits: Fits, **options: Any) -> list[tuple[Model, Summary, 
     """Return, for each half of the rows, the model found on it, what it leaves there, and what it leaves of the other half."""
     found = []
     for half in HALVES:
-        model = fits.best(by_cache(*half), **options)
+        model = fits.best(caches=half, **options)
         if model is None:
             continue
         inside = [each for each in model.residuals if each.cache in half]
@@ -189,12 +229,45 @@ def held_out_by_cache(fits: Fits, **options: Any) -> list[tuple[Model, Summary, 
     return found
 
 
-def held_out_by_scene(fits: Fits, **options: Any) -> dict[str, list[Summary]]:
+def held_out_by_scene(fits: Fits, labels: dict[str, str] = LABELS[0], **options: Any) -> dict[str, list[Summary]]:
     """Return, for each scene, what the model found on the other scenes leaves of it, under each of its views."""
     found = {}
     for left_out in SCENES:
         others = [scene for scene in SCENES if scene != left_out]
-        model = fits.best(lambda each, others=others: each.scene in others, scenes=others, **options)  # type: ignore[misc]
+        model = fits.best(scenes=others, labels=labels, **options)
         if model is not None:
-            found[left_out] = fits.under_every_view(model, left_out)
+            found[left_out] = fits.under_every_view(model, left_out, labels)
     return found
+
+
+class Placebo(NamedTuple):
+    """What the same search finds when the paper's values are those of other scenes.
+
+    Attributes
+    ----------
+    labels : dict
+        The scene whose values each scene has.
+    found : Summary
+        What the nearest model leaves.
+    loss : float
+        Its loss.
+    held : int
+        Scenes of which a model found on the others is within the target under every view of its own.
+    """
+
+    labels: dict[str, str]
+    found: Summary
+    loss: float
+    held: int
+
+
+def placebo(fits: Fits, **options: Any) -> list[Placebo]:
+    """Return what the search finds with each of ``LABELS``, that with the own values first."""
+    made = []
+    for labels in LABELS:
+        model = fits.best(labels=labels, **options)
+        if model is not None:
+            left_out = held_out_by_scene(fits, labels, **options)
+            held = sum(all(map(is_within_target, of)) for of in left_out.values() if of)
+            made.append(Placebo(labels, summary(model.residuals), model.loss, held))
+    return made

@@ -93,7 +93,7 @@ _PBRT = "c_trav=1,c_isect=80,empty_bonus=0.5,max_level=29"
 KNOBS = (
     Knob(
         "pixels", "resolution", _both(64, 96, 192, 256, 512), "render",
-        "no size is printed; N x rays gives about 2 x 128 x 128 rays, Manta's default is 512 x 512",
+        "no size is printed; A / N of the kd-trees is about 2 x 128 x 128 rays a scene, Manta's default is 512 x 512",
     ),
     Knob(
         "order", "order of pixels", _both("tile", "morton", "hilbert", "random"), "render",

@@ -1,4 +1,7 @@
-"""Models of Table I by name, found by the study's fit on its rows: fits, told as such, and never a default."""
+"""Models of Table I by name, found by the study's fit on its rows: fits, told as such, and never a default.
+
+A fit shows that numbers are possible. It does not identify the model: exchanged values of the scenes are met too.
+"""
 
 from dataclasses import fields
 from typing import Any
@@ -26,7 +29,6 @@ def note(name: str) -> str:
         values = {each.name: getattr(setting, each.name) for each in fields(Setting)}
         trees[TREES[tree]] = ", ".join(f"{knob} {value}" for knob, value in values.items() if value != getattr(usual, knob))
     return (
-        f"{name} is a fit of B/A, not of A, and not what the paper describes (docs/study.md). "
-        + "; ".join(f"{tree}: {text}" for tree, text in trees.items())
-        + "."
+        f"{name} is a fit of B/A, not of A, and not what the paper describes: it shows that such B/A are possible, not how "
+        "they were made (docs/study.md). " + "; ".join(f"{tree}: {text}" for tree, text in trees.items()) + "."
     )

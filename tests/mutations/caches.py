@@ -17,6 +17,7 @@ CL, BV, SO = "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/merge_
 
 READS_FLUSH, UNTIMED = "tests/cachesim/test_reads_and_flush.py", "tests/cachesim/policies/test_untimed.py"
 STUDY = "tests/nptrace/table1_study/test_study.py"
+CAUSES = "tests/nptrace/table1_study/test_causes.py"
 PRESET = "tests/nptrace/table1_study/test_preset.py"
 
 MUTATIONS = [
@@ -195,8 +196,12 @@ MUTATIONS = [
     Mutation("stack: persist never moves up", "cachesim/policies/stack.py", "self.reset != PERSIST or self.pointer[slot] == machine.sp[slot] - 1", "self.reset != PERSIST", UNTIMED),
     Mutation("stack: restart does not", "cachesim/policies/stack.py", "    if unit.reset == RESTART:\n", "    if False:\n", UNTIMED),
     Mutation("stack: a push leaves the time of a pop running", "cachesim/policies/stack.py", "    def on_push(self, machine, slot):\n        if self.pop:\n", "    def on_push(self, machine, slot):\n        if False:\n", "tests/cachesim/policies/test_stack.py"),
-    Mutation("study: the first view of a scene is its best", "nptrace/table1_study/fit.py", "if scene not in found or total < found[scene][0]:", "if scene not in found:", STUDY),
-    Mutation("study: models are fitted to rows that are held out", "nptrace/table1_study/fit.py", "for each in rows.values() if is_known(each)]", "for each in rows.values()]", STUDY),
+    Mutation("study: the first view of a scene is its best", "nptrace/table1_study/fit.py", "np.lexsort((by_row.sum(axis=1), models))", "np.lexsort((models,))", STUDY),
+    Mutation("study: models are fitted to rows that are held out", "nptrace/table1_study/fit.py", "[:, :, [CACHES.index(each) for each in caches]]", "[:, :, :]", STUDY),
+    Mutation("study: causes are named whatever chance names", "nptrace/table1_study/analysis.py", "self.chance < CHANCE and self.explains(", "self.explains(", CAUSES),
+    Mutation("study: a value explains if one cache is near", "nptrace/table1_study/analysis.py", "        key: max(abs(octaves(", "        key: min(abs(octaves(", CAUSES),
+    Mutation("study: a placebo has the scene's own figures", "nptrace/table1_study/fit.py", "self._losses(scene, labels[scene], weight)", "self._losses(scene, scene, weight)", CAUSES),
+    Mutation("study: a row is possible by two settings", "nptrace/table1_study/analysis.py", "<= CLOSE and abs(row", "<= CLOSE or abs(row", CAUSES),
     Mutation("study: prefetches are no accesses", "nptrace/table1_study/figures.py", "ratio(fills, accesses + prefetches)", "ratio(fills, accesses)", "tests/nptrace/table1_study/test_identities.py"),
     Mutation("study: a preset forgets what a visit reads", "nptrace/table1_study/measure.py", "result.reads, result.flush = reads, flush", "pass", PRESET),
     Mutation("study: a preset has one setting for both trees", "nptrace/studies.py", "for _, _, results in measured(run, [setting]):", "for _, _, results in measured(run, [PRESETS[name]['bvh']]):", PRESET),
