@@ -126,6 +126,11 @@ def test_what_cannot_be_is_one_sentence(folder, text, sentence):
         ({"address": [1.5]}, "column 'address' is of type double; write whole numbers"),
         ({"address": pa.array([1, None], pa.int64())}, "row 2: address None is no whole number from 0"),
         ({"address": [1, -1]}, "row 2: address -1 is no whole number from 0"),
+        ({"address": pa.array([1, 2**63], pa.uint64())}, "row 2: 1 B at 8000000000000000 reach past 2^32"),
+        ({"address": pa.array([2**64 - 1], pa.uint64())}, "row 1: 1 B at ffffffffffffffff reach past 2^32"),
+        ({"address": pa.array([1, None], pa.uint32())}, "row 2: address None is no whole number from 0"),
+        ({"address": [16], "size": pa.array([2**64 - 16], pa.uint64())}, "row 1: 18446744073709551600 B at 10 reach past"),
+        ({"address": [0], "size": [2**32]}, "row 1: 4294967296 B at 0 reach past 2^32"),
         ({"address": [1], "type": [7]}, "row 1: type 7 is no access type"), ({"x": [1]}, "has no column 'address'"),
     ],
 )  # fmt: skip
