@@ -34,7 +34,7 @@ _TYPES = {
 _PARQUET = b"PAR1"  # how a Parquet file begins
 _CHUNK_BYTES = 1 << 20
 _ROWS = 1 << 18
-_INTEGER = r"^\s*(0[xX][0-9a-fA-F]{1,15}|[0-9]{1,18})\s*$"
+_INTEGER = r"^\s*(0[xX][0-9a-fA-F]{1,16}|[0-9]{1,19})\s*$"
 
 
 def is_address_file(stream: Stream) -> bool:

@@ -87,6 +87,16 @@ def test_what_is_left_out_is_a_read_of_one_byte(folder):
     assert result.demand_accesses == 2  # across a line boundary
 
 
+def test_addresses_of_64_bits_may_have_zeros_in_front(folder):
+    """As many tools write them; where the number is too large, that is what is said."""
+    (folder / "y.csv").write_text("address\n0x0000000012345678\n0X00000000FFFFFFFF\n0000000000000000031\n")
+    assert [row[0] for row in rows_of("y.csv")] == [0x12345678, 2**32 - 1, 31]
+    for text, digits in (("0x00007ffe12345678", "7ffe12345678"), ("0xffffffffffffffff", "f" * 16)):
+        (folder / "y.csv").write_text(f"address\n{text}\n")
+        with pytest.raises(NptraceError, match=f"row 1: 1 B at {digits} reach past 2\\^32"):
+            rows_of("y.csv")
+
+
 def test_a_long_file_is_read_in_pieces(folder, monkeypatch):
     import traces.address_files as files
 
