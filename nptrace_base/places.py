@@ -275,9 +275,13 @@ def sizes(folder: Place) -> dict[str, int]:
     """Return the bytes of each file in a folder; nothing if there is no folder."""
     if isinstance(folder, Remote):
         return folder.sizes()
-    with suppress(FileNotFoundError):
-        return {entry.name: entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()}
-    return {}
+    found = {}
+    with suppress(FileNotFoundError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(FileNotFoundError):  # another process has just deleted this one
+                if entry.is_file():
+                    found[entry.name] = entry.stat().st_size
+    return found
 
 
 @contextmanager

@@ -102,6 +102,29 @@ def test_files_are_written_listed_read_and_deleted(bucket, tmp_path):
     assert [each.name for each in (bucket / "a").folders()] == ["sub"]
 
 
+def test_a_file_that_vanishes_while_a_folder_is_listed_hides_no_other(tmp_path, monkeypatch):
+    """As beside a render that is about to finish, which deletes what its workers needed."""
+    for name in "abc":
+        publish(tmp_path / name, b"12")
+    listed = places.os.scandir
+
+    class Listed(list):
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *error):
+            return None
+
+    def scandir(folder):
+        with listed(folder) as entries:
+            found = Listed(entries)
+        (tmp_path / "b").unlink()
+        return found
+
+    monkeypatch.setattr(places.os, "scandir", scandir)
+    assert sizes(tmp_path) == {"a": 2, "c": 2}
+
+
 @pytest.mark.parametrize("where", ["remote", "local"])
 @pytest.mark.parametrize("before", [None, b"before"])
 def test_an_exception_while_writing_publishes_nothing(bucket, tmp_path, where, before):
