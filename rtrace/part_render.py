@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ class Job:
     """All that a worker needs to trace any part of a run; small, and free of arrays.
 
     ``file`` has the arrays of the tree, and of the rays where ``shooting`` is None; ``key`` tells the records of this run's
-    parts from others.
+    parts from others, and ``code`` is a digest of what traces them.
     """
 
     place: Place
@@ -54,6 +55,7 @@ class Job:
     shooting: Shooting | None
     file: FileFacts
     key: str
+    code: str
 
 
 @dataclass(frozen=True)
@@ -96,10 +98,10 @@ def render_parts(
     rays = shooting if isinstance(shooting, RayFile) else None
     content = laid_out(*_arrays(tree, rays))
     file = file_facts("job", content)
-    asked = [footer.to_json().decode(), file.sha256, part, digest_of([Path(__file__)])]
+    asked = [footer.to_json().decode(), file.sha256, part, _code()]
     key = hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:16]
     picture = None if rays is not None else shooting
-    job = Job(path, footer, View(scene.camera, scene.light), picture, file, key)  # type: ignore[arg-type]
+    job = Job(path, footer, View(scene.camera, scene.light), picture, file, key, _code())  # type: ignore[arg-type]
     if isinstance(shooting, Shooting):
         parts = _cut(pieces(shooting), max(part // shooting.packet, 1))
     else:
@@ -125,6 +127,12 @@ def render_parts(
         return _completed(job, tree, parts, [found[number] for number in range(len(parts))])
     except OSError as e:
         raise RunError(f"cannot write {path}: {e.strerror or e}; choose another --out") from e
+
+
+@cache
+def _code() -> str:
+    """Return a digest of all that determines the rows of a part."""
+    return digest_of([Path(__file__)])
 
 
 def _cut(pieces: Iterator[Piece], part: int) -> list[list[Piece]]:
@@ -158,7 +166,17 @@ def trace_part(
     ----------
     given : (Tree, RayFile or None), optional
         The tree and the rays where this process has them; else they are mapped from the job's file.
+
+    Raises
+    ------
+    RunError
+        This process has other sources than the one that asks, so its rows might not be those of the other parts.
     """
+    if job.code != _code():
+        raise RunError(
+            f"cannot trace a part of {job.place}: a worker has other sources of nptrace than the command; "
+            "install the same version for all workers"
+        )
     tree, rays = given or _given(job)
     counts, writer, colours = Counts(), PartWriter(), zlib.compressobj(1)
     squeezed = []

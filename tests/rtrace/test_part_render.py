@@ -264,6 +264,21 @@ def test_a_worker_refuses_a_tree_that_was_changed(tmp_path, scene, trees):
         render_parts(scene, trees["bvh"], SHOOTINGS[0], tmp_path / "run", engine=Changing())
 
 
+def test_a_worker_of_another_version_traces_nothing(tmp_path, scene, trees, monkeypatch):
+    class Older(Engine):
+        def __init__(self):
+            pass
+
+        def results(self, function, tasks):
+            with monkeypatch.context() as patch:
+                patch.setattr(part_render, "_code", lambda: "older", raising=False)
+                yield from ((i, function(*task)) for i, task in enumerate(tasks))
+
+    with pytest.raises(RunError, match="a worker has other sources of nptrace than the command; install the same version"):
+        render_parts(scene, trees["bvh"], SHOOTINGS[0], tmp_path / "run", engine=Older())
+    assert not [*tmp_path.glob("run/accesses-*"), *tmp_path.glob("run/part-*")]
+
+
 def test_arrays_are_mapped_as_they_were(tmp_path, scene, trees):
     from nptrace_base.places import publish
     from rtrace.shared_arrays import laid_out, mapped
