@@ -2,7 +2,7 @@
 
 A part is a stretch of the picture's chunks, whatever the number of workers, so the same command gives the same files. Each
 part is written when it is traced, and a record of it last; the manifest, when all parts are there. A render that is started
-again takes the parts that have records.
+again takes the parts that have records; of two at a time, the second takes the run that the first has completed.
 """
 
 import hashlib
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from nptrace_base.engines import Engine
+from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, publish, sizes
 from nptrace_base.sources import digest_of
 from rtrace.chunk import Chunk
@@ -31,10 +32,11 @@ from rtrace.scenes.scene import Scene
 from rtrace.shared_arrays import laid_out, mapped
 from rtrace.trees.tree import BVH_NODE, BVH_PAIR, KD_NODE, Tree, node_table
 from traces.footer import Footer
-from traces.format import BOX, FILES, PRIMARY, SPLIT, RunError
+from traces.format import BOX, FILES, LEAF, PREFETCH, PRIMARY, SHADOW, SPLIT, RunError
 from traces.manifest import MANIFEST, FileFacts, Manifest, PartFacts, check_there, file_facts, parse_file, parse_manifest
 from traces.node_formats import NODE_FORMATS
 from traces.part_writer import PartWriter, encoded_table
+from traces.reader import open_run
 from traces.writer import looks_like_run, node_schema
 
 #: Pixels, or rays of a file, of a part: some million accesses, and 127 parts of a picture at 4K.
@@ -106,10 +108,12 @@ def render_parts(
         parts = _cut(pieces(shooting), max(part // shooting.packet, 1))
     else:
         parts = _cut(_ray_pieces(shooting), part)
+    needed: set[str] = set()  # until the manifest is written
     try:
         if path.exists() and not looks_like_run(path):
             raise RunError(f"{path} exists and is not a run; choose another --out or remove it")
         found = _finished_before(job)
+        needed.update(*(_on_the_way(number, each, key) for number, each in found.items()))
         for number in found:
             progress(_n_shaded(parts[number], shooting))
         tasks = [(job, number, parts[number]) for number in range(len(parts)) if number not in found]
@@ -118,14 +122,20 @@ def render_parts(
         else:
             if tasks and sizes(path).get(file.name) != file.bytes:
                 publish(path / file.name, *content)
+            needed |= {file.name} if tasks else set()
             there = replace(job, place=path.absolute() if isinstance(path, Path) else path)  # workers may be in other folders
             results = engine.results(trace_part, [(there, *task[1:]) for task in tasks])
         for i, finished in results:
             found[tasks[i][1]] = finished
+            needed |= _on_the_way(tasks[i][1], finished, key)
             progress(_n_shaded(tasks[i][2], shooting))
         on_write()
         return _completed(job, tree, parts, [found[number] for number in range(len(parts))])
-    except OSError as e:
+    except (OSError, RunError) as e:
+        if (made := _made_meanwhile(job, needed)) is not None:
+            return made
+        if isinstance(e, RunError):
+            raise
         raise RunError(f"cannot write {path}: {e.strerror or e}; choose another --out") from e
 
 
@@ -210,6 +220,11 @@ def _record(number: int, key: str) -> str:
     return f"part-{number}-{key}.json"
 
 
+def _on_the_way(number: int, finished: Finished, key: str) -> set[str]:
+    """Return the names of the files of a part that are deleted when the run is complete."""
+    return {_record(number, key), finished.files["colours"].name}
+
+
 def _finished_before(job: Job) -> dict[int, Finished]:
     """Return the parts that an earlier render of this run has finished, and whose files are there."""
     there, found = sizes(job.place), {}
@@ -243,12 +258,34 @@ def _completed(job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished:
         before = {file.name for file in parse_manifest((where / MANIFEST).read_bytes(), where).files}
     text = manifest.to_json()
     publish(where / MANIFEST, text)
-    ours = {_record(number, job.key) for number in range(len(parts))}
-    done_with = {job.file.name, *FILES, *ours, *before, *(each.files["colours"].name for each in finished)}
+    ours = set().union(*(_on_the_way(number, each, job.key) for number, each in enumerate(finished)))
+    done_with = {job.file.name, *FILES, *ours, *before}
     for name in (done_with - {file.name for file in manifest.files}) & there.keys():
         (where / name).unlink(missing_ok=True)
     n_bytes = len(text) + sum(file.bytes for file in manifest.files)
     return summary(footer, where, counts, n_nodes, n_bytes)
+
+
+def _made_meanwhile(job: Job, needed: set[str]) -> Summary | None:
+    """Return the summary of this very run if another render of it has completed it, and deleted files that this one needs."""
+    with suppress(OSError, NptraceError):
+        there = sizes(job.place).keys()
+        run = open_run(job.place)
+        own = {name: getattr(job.footer, name) for name in ("n_rays", "n_accesses", "image_sha256")}
+        if needed <= there or replace(run.footer, **own) != job.footer:
+            return None
+        counts = Counts(run.footer.n_rays, run.n_accesses)
+        rays = run.columns("rays", ["type", "prim"])
+        is_shadow, has_met = rays["type"] == SHADOW, rays["prim"] >= 0
+        counts.n_shadow, counts.n_shadowed = int(is_shadow.sum()), int((is_shadow & has_met).sum())
+        counts.n_hits = int(has_met.sum()) - counts.n_shadowed
+        for (kinds,) in run.batches(("kind",)):
+            counts.n_prefetches += int(np.count_nonzero(kinds == PREFETCH))
+            counts.n_leaves += int(np.count_nonzero(kinds == LEAF))
+        for name in needed & there:
+            (job.place / name).unlink(missing_ok=True)
+        return summary(run.footer, job.place, counts, run.n_nodes, run.n_bytes)
+    return None
 
 
 def _picture(job: Job, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished]) -> np.ndarray:
