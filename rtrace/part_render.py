@@ -8,6 +8,7 @@ again takes the parts that have records; of two at a time, the second takes the 
 import hashlib
 import json
 import re
+import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -20,7 +21,7 @@ import numpy as np
 
 from nptrace_base.engines import Engine
 from nptrace_base.errors import NptraceError
-from nptrace_base.places import Place, publish, sizes
+from nptrace_base.places import Place, older, publish, sizes
 from nptrace_base.sources import digest_of
 from rtrace.chunk import Chunk
 from rtrace.counts import Counts
@@ -33,7 +34,17 @@ from rtrace.shared_arrays import laid_out, mapped
 from rtrace.trees.tree import BVH_NODE, BVH_PAIR, KD_NODE, Tree, node_table
 from traces.footer import Footer
 from traces.format import BOX, FILES, LEAF, PREFETCH, PRIMARY, SHADOW, SPLIT, RunError
-from traces.manifest import MANIFEST, FileFacts, Manifest, PartFacts, check_there, file_facts, parse_file, parse_manifest
+from traces.manifest import (
+    MANIFEST,
+    FileFacts,
+    Manifest,
+    PartFacts,
+    check_there,
+    file_facts,
+    is_of_run,
+    parse_file,
+    parse_manifest,
+)
 from traces.node_formats import NODE_FORMATS
 from traces.part_writer import PartWriter, encoded_table
 from traces.reader import open_run
@@ -108,7 +119,7 @@ def render_parts(
         parts = _cut(pieces(shooting), max(part // shooting.packet, 1))
     else:
         parts = _cut(_ray_pieces(shooting), part)
-    needed: set[str] = set()  # until the manifest is written
+    began, needed = time.time(), set[str]()  # until the manifest is written
     try:
         if path.exists() and not looks_like_run(path):
             raise RunError(f"{path} exists and is not a run; choose another --out or remove it")
@@ -130,7 +141,7 @@ def render_parts(
             needed |= _on_the_way(tasks[i][1], finished, key)
             progress(_n_shaded(tasks[i][2], shooting))
         on_write()
-        return _completed(job, tree, parts, [found[number] for number in range(len(parts))])
+        return _completed(job, tree, parts, [found[number] for number in range(len(parts))], began)
     except (OSError, RunError) as e:
         if (made := _made_meanwhile(job, needed)) is not None:
             return made
@@ -238,8 +249,13 @@ def _finished_before(job: Job) -> dict[int, Finished]:
     return found
 
 
-def _completed(job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished]) -> Summary:
-    """Write what the run has once, and then its manifest; delete what was there for the workers, and the run before it."""
+def _completed(
+    job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished], began: float
+) -> Summary:  # fmt: skip
+    """Write what the run has once, and then its manifest; delete what was there for the workers, and what is of other runs.
+
+    These are the run before it, and what killed renders of others have left: what was not written since this one began.
+    """
     where, counts = job.place, sum((each.counts for each in finished), Counts())
     fields = SPLIT if NODE_FORMATS[tree.kind].tree == "kdtree" else BOX
     nodes, n_nodes = encoded_table(node_schema(job.footer, fields), node_table(tree), job.footer)
@@ -259,8 +275,9 @@ def _completed(job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished:
     text = manifest.to_json()
     publish(where / MANIFEST, text)
     ours = set().union(*(_on_the_way(number, each, job.key) for number, each in enumerate(finished)))
-    done_with = {job.file.name, *FILES, *ours, *before}
-    for name in (done_with - {file.name for file in manifest.files}) & there.keys():
+    left = set(filter(is_of_run, older(where, began)))
+    done_with = {job.file.name, *FILES, *ours, *before} & there.keys() | left
+    for name in done_with - {MANIFEST, *(file.name for file in manifest.files)}:
         (where / name).unlink(missing_ok=True)
     n_bytes = len(text) + sum(file.bytes for file in manifest.files)
     return summary(footer, where, counts, n_nodes, n_bytes)

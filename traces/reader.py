@@ -105,7 +105,7 @@ def _open_file(path: Place, table: str, file: FileFacts) -> pq.ParquetFile:
 def _open_directory(path: Place) -> Run:
     """Open a run of four files."""
     if isinstance(path, Remote):
-        found = path.sizes()
+        found = sizes(path)
     else:
         found = {name: (path / name).stat().st_size for name in FILES if (path / name).is_file()}
     missing = [name for name in FILES if name not in found]
@@ -193,5 +193,5 @@ def holds_run(folder: Place) -> bool:
     """Return whether a folder is that of a run, whole or damaged, and not one that holds runs."""
     names = (MANIFEST, *FILES)
     if isinstance(folder, Remote):
-        return not folder.sizes().keys().isdisjoint(names)
+        return not sizes(folder).keys().isdisjoint(names)
     return any((folder / name).exists() for name in names)

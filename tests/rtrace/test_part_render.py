@@ -11,6 +11,7 @@ import pytest
 import rtrace.part_render as part_render
 import rtrace.render as rendering
 from nptrace_base.engines import Engine, WorkersLostError, engine_of, processes
+from nptrace_base.places import publish
 from rtrace.part_render import render_parts, trace_part
 from rtrace.ray_file import read_rays
 from rtrace.render import Shooting, render
@@ -213,6 +214,24 @@ def test_parts_of_another_run_are_not_taken(stopped, scene, trees, monkeypatch):
     assert open_run(stopped).footer.tree.kind == "bvh64"
 
 
+def test_what_killed_renders_of_other_runs_left_is_deleted_with_the_next_manifest(stopped, scene, trees):
+    """It would stay for good: nobody asks for their records again. What is newer may be of a render that still runs."""
+    for name in (".rays-1.99-ab.tmp.parquet", "accesses-0.parquet.0123abcd.upload"):
+        (stopped / name).write_bytes(b"")
+    left = {file.name for file in stopped.iterdir()}
+    for name in left:
+        os.utime(stopped / name, (1000, 1000))
+    new = f"colours-{'0' * 32}.raw"
+    publish(stopped / new, b"")
+    os.utime(stopped / new, (1e11, 1e11))
+    render_parts(scene, trees["bvh64"], SHOOTINGS[0], stopped, part=700)
+    names = {file.name for file in stopped.iterdir()}
+    assert not names & left and new in names
+    assert len(names) == 1 + 3 + 2 * 3
+    render(scene, trees["bvh64"], SHOOTINGS[0], stopped.with_name("whole"))
+    assert_same(open_run(stopped), open_run(stopped.with_name("whole")))
+
+
 def test_either_form_replaces_the_other(tmp_path, scene, trees):
     path = tmp_path / "run"
     for write in (render, render_parts, render_parts, render):
@@ -331,7 +350,6 @@ def test_a_worker_of_another_version_traces_nothing(tmp_path, scene, trees, monk
 
 
 def test_arrays_are_mapped_as_they_were(tmp_path, scene, trees):
-    from nptrace_base.places import publish
     from rtrace.shared_arrays import laid_out
     from traces.manifest import file_facts
 
