@@ -4,11 +4,12 @@ Every way is the same fold (``cachesim.summary``): a part begins with the summar
 the summaries are joined in order. A part of a run begins with a ray, because a prefetch unit begins anew there.
 """
 
+import inspect
 import os
 import re
 from collections.abc import Callable
 from concurrent.futures import Future
-from functools import lru_cache, reduce
+from functools import cache, lru_cache, reduce
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -22,6 +23,7 @@ from nptrace_base.engines import Engine
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 from nptrace_base.pools import thread_pool
+from nptrace_base.sources import digest_of
 
 #: Accesses in the smallest part that a thread gets: less takes longer to open and to join than it saves.
 LEAST_PART = 1 << 20
@@ -131,7 +133,8 @@ def _by_workers(source: Source, question: Question, engine: Engine, progress: Pr
     n_events, place = source.run.n_accesses, source.run.path
     n = max(min(PARTS_PER_WORKER * engine.n_workers, n_events // LEAST_PART) if engine.n_workers else n_events // PART, 1)
     # Workers may be in other folders.
-    task = place.absolute() if isinstance(place, Path) else place, str(source.layout), source.run.digest, question
+    there = place.absolute() if isinstance(place, Path) else place
+    task = there, str(source.layout), source.run.digest, code_of(question), question
     found: dict[int, dict[str, np.ndarray]] = {}
     for number, (n_counted, arrays) in engine.results(count_part, [(*task, i, n) for i in range(1, n + 1)]):
         found[number] = arrays
@@ -146,10 +149,25 @@ def _loaded(question: Question, arrays: dict[str, np.ndarray]) -> Summary:
     return summary
 
 
+def code_of(question: Question) -> str:
+    """Return a digest of all that counts for a question: only summaries of the same code are joined."""
+    return _digest(Path(inspect.getfile(type(question))))
+
+
+@cache
+def _digest(source: Path) -> str:
+    return digest_of([Path(__file__), source])
+
+
 def count_part(
-    path: Place, layout: str, digest: str, question: Question, number: int, n: int
+    path: Place, layout: str, digest: str, code: str, question: Question, number: int, n: int
 ) -> tuple[int, dict[str, np.ndarray]]:  # fmt: skip
     """Return the number of events in part ``number`` of ``n`` of a run, and the arrays of its summary; runs in a worker."""
+    if code != code_of(question):
+        raise NptraceError(
+            f"cannot count a part of {path}: a worker has other sources of nptrace than the command; "
+            "install the same version for all workers"
+        )
     source, lines = _opened(path, layout, digest)
     n_events: list[int] = []
     summary = pass_through(Part(source, number, n, lines), question, progress=n_events.append)

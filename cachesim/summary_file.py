@@ -2,7 +2,7 @@
 
 A file is Arrow IPC, compressed with zstd: a row for each array of the summary (``cachesim.summary``), with its name, NumPy
 type and bytes. The metadata of its schema is JSON: the version of the format, the run with its digest, the rows of the part,
-what was asked, and a checksum of the arrays.
+what was asked, digests of the code that counted, and a checksum of the arrays.
 """
 
 import hashlib
@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from cachesim.config import CacheConfig
+from cachesim.parts import code_of
 from cachesim.replay import Replay
 from cachesim.result import Result
 from cachesim.summary import About, of_prefix, prefixed
@@ -24,8 +25,8 @@ from nptrace_base.errors import NptraceError
 from traces.identity import RunIdentity
 from traces.reader import Run
 
-#: Raised when what the arrays mean changes.
-FORMAT_VERSION = 1
+#: Raised when what the file holds changes.
+FORMAT_VERSION = 2
 
 _KEY = b"nptrace summary"
 _SCHEMA = pa.schema([("name", pa.string()), ("type", pa.string()), ("data", pa.large_binary())])
@@ -47,6 +48,7 @@ class _Part(NamedTuple):
     run: dict[str, Any]
     rows: range
     asked: list[dict[str, Any]]
+    code: list[str]
     sha256: str
 
 
@@ -61,6 +63,7 @@ def write_part(path: Path, part: Run, asked: Sequence[Asked], summaries: Sequenc
         "run": of | {"n_accesses": part.footer.n_accesses},
         "rows": [part.rows.start, part.rows.stop],
         "asked": [asdict(each) for each in asked],
+        "code": [code_of(each.question) for each in asked],
         "sha256": _checksum(arrays),
     }
     columns = [list(arrays), [array.dtype.str for array in arrays.values()], [array.tobytes() for array in arrays.values()]]
@@ -78,7 +81,8 @@ def combine(paths: Iterable[Path]) -> list[Result]:
     Raises
     ------
     NptraceError
-        A file is damaged or of another format version, run or question; accesses are missing or in two files.
+        A file is damaged, of another format version, run or question, or counted by other sources of this program; accesses
+        are missing or in two files.
     """
     parts = sorted((_metadata(path) for path in paths), key=lambda part: (part.rows.start, part.rows.stop))
     if not parts:
@@ -86,8 +90,14 @@ def combine(paths: Iterable[Path]) -> list[Result]:
     first = parts[0]
     _check(parts)
     asked = [_asked(first, each) for each in first.asked]
+    code = [code_of(each.question) for each in asked]
     whole: list[Any] = []
     for part in parts:
+        if part.code != code:
+            raise NptraceError(
+                f"{part.path} was counted by other sources of nptrace than those of this command; combine it with the version "
+                "that made it, or make it again with npcache summarise"
+            )
         arrays = _arrays(part)
         summaries = [each.question.begin(None) for each in asked]
         try:
@@ -147,7 +157,7 @@ def _metadata(path: Path) -> _Part:
         version = values["format_version"]
         if version != FORMAT_VERSION:
             raise NptraceError(f"{path} has format version {version}, and this program reads {FORMAT_VERSION}; make it again")
-        return _Part(path, values["run"], range(*values["rows"]), values["asked"], values["sha256"])
+        return _Part(path, values["run"], range(*values["rows"]), values["asked"], values["code"], values["sha256"])
     except NptraceError:
         raise
     except _UNREADABLE as e:

@@ -1,10 +1,13 @@
 """Tasks that take a whole run: what workers do where a trace cannot be cut, as under a clock. A worker takes run after run."""
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, place
+from nptrace_base.sources import digest_of
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:
@@ -20,12 +23,27 @@ def run_by_run(
     advance: Callable[[int], object],
 ) -> list[Any]:  # fmt: skip
     """Return what ``function`` returns for each run and its arguments, one run after the other."""
-    tasks = [(*_there(run), *given) for run, given in zip(runs, arguments, strict=True)]
+    tasks = [(_code(), function, *_there(run), *given) for run, given in zip(runs, arguments, strict=True)]
     found: dict[int, list[Any]] = {}
-    for number, rows in engine.results(function, tasks):
+    for number, rows in engine.results(_by_same_code, tasks):
         found[number] = rows
         advance(1)
     return [row for number in range(len(tasks)) for row in found[number]]
+
+
+def _by_same_code(code: str, function: Callable[..., list[Any]], there: Place, *arguments: Any) -> list[Any]:
+    """Return what ``function`` returns in a worker; NptraceError if its rows might not be those of the other workers."""
+    if code != _code():
+        raise NptraceError(
+            f"cannot replay {there}: a worker has other sources of nptrace than the command; "
+            "install the same version for all workers"
+        )
+    return function(there, *arguments)
+
+
+@cache
+def _code() -> str:
+    return digest_of([Path(__file__)])
 
 
 def _there(run: Run | Place | str) -> tuple[Place, Place]:

@@ -1,7 +1,8 @@
 """A study in one file: scenes, pictures, trees, caches, machines and policies in TOML -> runs, and rows of all of them.
 
 What is finished is kept: a run that is on disk is not traced again, and the rows of each run, section, layout and policy are
-in a file of their own beside the runs. So the same study goes on where it was stopped.
+in a file of their own beside the runs, until another version of the program counts. So the same study goes on where it was
+stopped.
 """
 
 import hashlib
@@ -11,7 +12,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from nptrace.progress import Progress
 from nptrace.scene_options import load_scenes, parse_tree, tree_params
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
+from nptrace_base.sources import digest_of
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:
@@ -292,6 +294,14 @@ def _kept(path: Path, scene: "Scene", tree: "Tree", shooting: "Shooting") -> Run
     return None if run.footer.differences(footer_of(scene, tree, shooting, "")) else run
 
 
+@cache
+def _code() -> str:
+    """Return a digest of all that makes rows: what another version has counted is counted again, and stands beside none."""
+    from nptrace import studies
+
+    return digest_of([Path(studies.__file__)])
+
+
 @dataclass(frozen=True)
 class _Part:
     """Some rows of one run, which are kept in a file once they are complete."""
@@ -314,7 +324,7 @@ class _Part:
         section = self.study.sections[self.name]
         how = {name: section[name] for name in HOW if section.get(name)}
         asked = [self.run.footer.to_json().decode(), str(self.run.path), self.name, repr(self.of), self.layout,
-                 [*self.prefetches], how]  # fmt: skip
+                 [*self.prefetches], how, _code()]  # fmt: skip
         path = self.study.out / f"study-{hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:16]}.parquet"
         if path.exists():
             bar.job(self.run.name)

@@ -5,6 +5,7 @@ functions below write, list and delete in both. Keys and passwords are taken fro
 address is printed, stored in results and sent to workers.
 """
 
+import math
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -93,15 +94,11 @@ class Remote:
 
     def iterdir(self) -> Iterator["Remote"]:
         """Yield what lies in a folder, by name."""
-        yield from (self / name for name, _, _ in sorted(self._listed()))
+        yield from (self / name for name in sorted(each.base_name for each in self.listed()))
 
     def folders(self) -> list["Remote"]:
         """Return the folders in a folder, by name; one request."""
-        return [self / name for name, kind, _ in sorted(self._listed()) if kind == "Directory"]
-
-    def sizes(self) -> dict[str, int]:
-        """Return the bytes of each file in a folder; one request for a thousand of them."""
-        return {name: size for name, kind, size in self._listed() if kind == "File"}
+        return [self / name for name in sorted(each.base_name for each in self.listed() if each.type.name == "Directory")]
 
     def read_bytes(self) -> bytes:
         """Return a file's content; two requests, for its size and its bytes. FileNotFoundError if there is none."""
@@ -158,13 +155,13 @@ class Remote:
         with _asked(self, "read"):
             return self._filesystem().get_file_info(self._at())
 
-    def _listed(self) -> list[tuple[str, str, int]]:
-        """Return the name, type and size of all that lies in a folder; nothing if there is none."""
+    def listed(self) -> list[Any]:
+        """Return Arrow's facts of all that lies in a folder; one request for a thousand of them, nothing if there is none."""
         from pyarrow.fs import FileSelector
 
         with _asked(self, "list"):
-            found = self._filesystem().get_file_info(FileSelector(self._at(), allow_not_found=True))
-        return [(each.base_name, each.type.name, each.size) for each in found]
+            found: list[Any] = self._filesystem().get_file_info(FileSelector(self._at(), allow_not_found=True))
+        return found
 
 
 Place = Path | Remote
@@ -273,11 +270,27 @@ def publish(where: Place, *pieces: Any) -> None:
 
 def sizes(folder: Place) -> dict[str, int]:
     """Return the bytes of each file in a folder; nothing if there is no folder."""
+    return {name: size for name, size, _ in _files(folder)}
+
+
+def older(folder: Place, moment: float) -> set[str]:
+    """Return the names of the files in a folder that were last written before a moment, in seconds since 1970."""
+    return {name for name, _, written in _files(folder) if written < moment}
+
+
+def _files(folder: Place) -> Iterator[tuple[str, int, float]]:
+    """Yield the name of each file in a folder, its bytes, and when it was last written."""
     if isinstance(folder, Remote):
-        return folder.sizes()
-    with suppress(FileNotFoundError):
-        return {entry.name: entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()}
-    return {}
+        for each in folder.listed():
+            if each.type.name == "File":
+                yield each.base_name, each.size, math.inf if each.mtime_ns is None else each.mtime_ns / 1e9
+        return
+    with suppress(FileNotFoundError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(FileNotFoundError):  # another process has just deleted this one
+                if entry.is_file():
+                    facts = entry.stat()
+                    yield entry.name, facts.st_size, facts.st_mtime
 
 
 @contextmanager

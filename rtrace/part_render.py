@@ -2,23 +2,26 @@
 
 A part is a stretch of the picture's chunks, whatever the number of workers, so the same command gives the same files. Each
 part is written when it is traced, and a record of it last; the manifest, when all parts are there. A render that is started
-again takes the parts that have records.
+again takes the parts that have records; of two at a time, the second takes the run that the first has completed.
 """
 
 import hashlib
 import json
 import re
+import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nptrace_base.engines import Engine
-from nptrace_base.places import Place, publish, sizes
+from nptrace_base.errors import NptraceError
+from nptrace_base.places import Place, older, publish, sizes
 from nptrace_base.sources import digest_of
 from rtrace.chunk import Chunk
 from rtrace.counts import Counts
@@ -30,10 +33,21 @@ from rtrace.scenes.scene import Scene
 from rtrace.shared_arrays import laid_out, mapped
 from rtrace.trees.tree import BVH_NODE, BVH_PAIR, KD_NODE, Tree, node_table
 from traces.footer import Footer
-from traces.format import BOX, FILES, PRIMARY, SPLIT, RunError
-from traces.manifest import MANIFEST, FileFacts, Manifest, PartFacts, check_there, file_facts, parse_file, parse_manifest
+from traces.format import BOX, FILES, LEAF, PREFETCH, PRIMARY, SHADOW, SPLIT, RunError
+from traces.manifest import (
+    MANIFEST,
+    FileFacts,
+    Manifest,
+    PartFacts,
+    check_there,
+    file_facts,
+    is_of_run,
+    parse_file,
+    parse_manifest,
+)
 from traces.node_formats import NODE_FORMATS
 from traces.part_writer import PartWriter, encoded_table
+from traces.reader import open_run
 from traces.writer import looks_like_run, node_schema
 
 #: Pixels, or rays of a file, of a part: some million accesses, and 127 parts of a picture at 4K.
@@ -45,7 +59,7 @@ class Job:
     """All that a worker needs to trace any part of a run; small, and free of arrays.
 
     ``file`` has the arrays of the tree, and of the rays where ``shooting`` is None; ``key`` tells the records of this run's
-    parts from others.
+    parts from others, and ``code`` is a digest of what traces them.
     """
 
     place: Place
@@ -54,6 +68,7 @@ class Job:
     shooting: Shooting | None
     file: FileFacts
     key: str
+    code: str
 
 
 @dataclass(frozen=True)
@@ -96,18 +111,20 @@ def render_parts(
     rays = shooting if isinstance(shooting, RayFile) else None
     content = laid_out(*_arrays(tree, rays))
     file = file_facts("job", content)
-    asked = [footer.to_json().decode(), file.sha256, part, digest_of([Path(__file__)])]
+    asked = [footer.to_json().decode(), file.sha256, part, _code()]
     key = hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:16]
     picture = None if rays is not None else shooting
-    job = Job(path, footer, View(scene.camera, scene.light), picture, file, key)  # type: ignore[arg-type]
+    job = Job(path, footer, View(scene.camera, scene.light), picture, file, key, _code())  # type: ignore[arg-type]
     if isinstance(shooting, Shooting):
         parts = _cut(pieces(shooting), max(part // shooting.packet, 1))
     else:
         parts = _cut(_ray_pieces(shooting), part)
+    began, needed = time.time(), set[str]()  # until the manifest is written
     try:
         if path.exists() and not looks_like_run(path):
             raise RunError(f"{path} exists and is not a run; choose another --out or remove it")
         found = _finished_before(job)
+        needed.update(*(_on_the_way(number, each, key) for number, each in found.items()))
         for number in found:
             progress(_n_shaded(parts[number], shooting))
         tasks = [(job, number, parts[number]) for number in range(len(parts)) if number not in found]
@@ -116,15 +133,27 @@ def render_parts(
         else:
             if tasks and sizes(path).get(file.name) != file.bytes:
                 publish(path / file.name, *content)
+            needed |= {file.name} if tasks else set()
             there = replace(job, place=path.absolute() if isinstance(path, Path) else path)  # workers may be in other folders
             results = engine.results(trace_part, [(there, *task[1:]) for task in tasks])
         for i, finished in results:
             found[tasks[i][1]] = finished
+            needed |= _on_the_way(tasks[i][1], finished, key)
             progress(_n_shaded(tasks[i][2], shooting))
         on_write()
-        return _completed(job, tree, parts, [found[number] for number in range(len(parts))])
-    except OSError as e:
+        return _completed(job, tree, parts, [found[number] for number in range(len(parts))], began)
+    except (OSError, RunError) as e:
+        if (made := _made_meanwhile(job, needed)) is not None:
+            return made
+        if isinstance(e, RunError):
+            raise
         raise RunError(f"cannot write {path}: {e.strerror or e}; choose another --out") from e
+
+
+@cache
+def _code() -> str:
+    """Return a digest of all that determines the rows of a part."""
+    return digest_of([Path(__file__)])
 
 
 def _cut(pieces: Iterator[Piece], part: int) -> list[list[Piece]]:
@@ -158,7 +187,17 @@ def trace_part(
     ----------
     given : (Tree, RayFile or None), optional
         The tree and the rays where this process has them; else they are mapped from the job's file.
+
+    Raises
+    ------
+    RunError
+        This process has other sources than the one that asks, so its rows might not be those of the other parts.
     """
+    if job.code != _code():
+        raise RunError(
+            f"cannot trace a part of {job.place}: a worker has other sources of nptrace than the command; "
+            "install the same version for all workers"
+        )
     tree, rays = given or _given(job)
     counts, writer, colours = Counts(), PartWriter(), zlib.compressobj(1)
     squeezed = []
@@ -192,6 +231,11 @@ def _record(number: int, key: str) -> str:
     return f"part-{number}-{key}.json"
 
 
+def _on_the_way(number: int, finished: Finished, key: str) -> set[str]:
+    """Return the names of the files of a part that are deleted when the run is complete."""
+    return {_record(number, key), finished.files["colours"].name}
+
+
 def _finished_before(job: Job) -> dict[int, Finished]:
     """Return the parts that an earlier render of this run has finished, and whose files are there."""
     there, found = sizes(job.place), {}
@@ -205,8 +249,13 @@ def _finished_before(job: Job) -> dict[int, Finished]:
     return found
 
 
-def _completed(job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished]) -> Summary:
-    """Write what the run has once, and then its manifest; delete what was there for the workers, and the run before it."""
+def _completed(
+    job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished], began: float
+) -> Summary:  # fmt: skip
+    """Write what the run has once, and then its manifest; delete what was there for the workers, and what is of other runs.
+
+    These are the run before it, and what killed renders of others have left: what was not written since this one began.
+    """
     where, counts = job.place, sum((each.counts for each in finished), Counts())
     fields = SPLIT if NODE_FORMATS[tree.kind].tree == "kdtree" else BOX
     nodes, n_nodes = encoded_table(node_schema(job.footer, fields), node_table(tree), job.footer)
@@ -225,12 +274,35 @@ def _completed(job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished:
         before = {file.name for file in parse_manifest((where / MANIFEST).read_bytes(), where).files}
     text = manifest.to_json()
     publish(where / MANIFEST, text)
-    ours = {_record(number, job.key) for number in range(len(parts))}
-    done_with = {job.file.name, *FILES, *ours, *before, *(each.files["colours"].name for each in finished)}
-    for name in (done_with - {file.name for file in manifest.files}) & there.keys():
+    ours = set().union(*(_on_the_way(number, each, job.key) for number, each in enumerate(finished)))
+    left = set(filter(is_of_run, older(where, began)))
+    done_with = {job.file.name, *FILES, *ours, *before} & there.keys() | left
+    for name in done_with - {MANIFEST, *(file.name for file in manifest.files)}:
         (where / name).unlink(missing_ok=True)
     n_bytes = len(text) + sum(file.bytes for file in manifest.files)
     return summary(footer, where, counts, n_nodes, n_bytes)
+
+
+def _made_meanwhile(job: Job, needed: set[str]) -> Summary | None:
+    """Return the summary of this very run if another render of it has completed it, and deleted files that this one needs."""
+    with suppress(OSError, NptraceError):
+        there = sizes(job.place).keys()
+        run = open_run(job.place)
+        own = {name: getattr(job.footer, name) for name in ("n_rays", "n_accesses", "image_sha256")}
+        if needed <= there or replace(run.footer, **own) != job.footer:
+            return None
+        counts = Counts(run.footer.n_rays, run.n_accesses)
+        rays = run.columns("rays", ["type", "prim"])
+        is_shadow, has_met = rays["type"] == SHADOW, rays["prim"] >= 0
+        counts.n_shadow, counts.n_shadowed = int(is_shadow.sum()), int((is_shadow & has_met).sum())
+        counts.n_hits = int(has_met.sum()) - counts.n_shadowed
+        for (kinds,) in run.batches(("kind",)):
+            counts.n_prefetches += int(np.count_nonzero(kinds == PREFETCH))
+            counts.n_leaves += int(np.count_nonzero(kinds == LEAF))
+        for name in needed & there:
+            (job.place / name).unlink(missing_ok=True)
+        return summary(run.footer, job.place, counts, run.n_nodes, run.n_bytes)
+    return None
 
 
 def _picture(job: Job, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished]) -> np.ndarray:

@@ -34,7 +34,7 @@ _TYPES = {
 _PARQUET = b"PAR1"  # how a Parquet file begins
 _CHUNK_BYTES = 1 << 20
 _ROWS = 1 << 18
-_INTEGER = r"^\s*(0[xX][0-9a-fA-F]{1,15}|[0-9]{1,18})\s*$"
+_INTEGER = r"^\s*(0[xX][0-9a-fA-F]{1,16}|[0-9]{1,19})\s*$"
 
 
 def is_address_file(stream: Stream) -> bool:
@@ -117,7 +117,7 @@ class AddressFile:
         address = self._numbers("address", columns["address"], before)
         size = self._numbers("size", columns["size"], before) if "size" in columns else np.ones(address.size, np.uint64)
         types = self._types(columns["type"], before) if "type" in columns else np.zeros(address.size, np.uint8)
-        bad = np.flatnonzero((address + size > 1 << 32) | (size == 0) | ~np.isin(types, LABELS))
+        bad = np.flatnonzero((size >= 1 << 32) | (address > (1 << 32) - size) | (size == 0) | ~np.isin(types, LABELS))
         if bad.size:
             at = int(bad[0])
             reason = explain_record(int(address[at]), int(size[at]), int(types[at]))
@@ -132,7 +132,8 @@ class AddressFile:
             return as_array(pc.cast(pc.utf8_trim_whitespace(values), pa.uint64()))
         if not pa.types.is_integer(values.type):
             raise DinError(f"{self.stream.where}, column {name!r} is of type {values.type}; write whole numbers")
-        good = pc.fill_null(pc.greater_equal(values, 0), False)
+        is_unsigned = pa.types.is_unsigned_integer(values.type)  # Arrow compares these with 0 as int64, which is too narrow
+        good = pc.is_valid(values) if is_unsigned else pc.fill_null(pc.greater_equal(values, 0), False)
         if not pc.all(good).as_py():
             raise self._bad(name, values, good, before, "no whole number from 0")
         return as_array(pc.cast(values, pa.uint64()))

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache, partial
+from typing import IO
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -54,7 +55,7 @@ def open_run(path: Place | str) -> Run:
     n_bytes = len(text) + sum(file.bytes for file in manifest.files)
     files = RunFiles(
         list(_parts(manifest, path)), partial(_content, path, manifest.image), n_bytes,
-        lambda: hashlib.sha256(text).hexdigest(), partial(open_run, path),
+        hashlib.sha256(text).hexdigest(), partial(open_run, path),
     )  # fmt: skip
     return Run(path, manifest.footer, files)
 
@@ -104,14 +105,14 @@ def _open_file(path: Place, table: str, file: FileFacts) -> pq.ParquetFile:
 def _open_directory(path: Place) -> Run:
     """Open a run of four files."""
     if isinstance(path, Remote):
-        found = path.sizes()
+        found = sizes(path)
     else:
         found = {name: (path / name).stat().st_size for name in FILES if (path / name).is_file()}
     missing = [name for name in FILES if name not in found]
     if missing:
         raise RunError(f"{path} is not a complete run: {', '.join(missing)} missing; render it again")
     with ExitStack() as handles:
-        files, footer = _open_files(path, handles)
+        files, footer, digest = _open_files(path, handles)
         try:
             image = hashlib.sha256((path / "image.png").read_bytes()).hexdigest()
         except OSError as e:
@@ -121,28 +122,25 @@ def _open_directory(path: Place) -> Run:
         part = PartFiles(files.__getitem__, {table: path / f"{table}.parquet" for table in files}, footer)
         n_bytes = sum(found[name] for name in FILES)
         image_of, reopen = (path / "image.png").read_bytes, partial(open_run, path)
-        run = Run(path, footer, RunFiles([part], image_of, n_bytes, partial(_digest_of, path), reopen))
+        run = Run(path, footer, RunFiles([part], image_of, n_bytes, digest, reopen))
         weakref.finalize(run, handles.pop_all().close)
     return run
 
 
-def _digest_of(path: Place) -> str:
-    """Return a hash of the metadata of a run's four files."""
-    digest = hashlib.sha256()
-    for name in SCHEMAS:
-        with opened(path / f"{name}.parquet") as file:
-            file.seek(-_TAIL, os.SEEK_END)
-            n_bytes = int.from_bytes(file.read(4), "little")
-            file.seek(-_TAIL - n_bytes, os.SEEK_END)
-            digest.update(file.read(n_bytes))
-    return digest.hexdigest()
+def _metadata_of(file: IO[bytes]) -> bytes:
+    """Return the footer of a Parquet file."""
+    file.seek(-_TAIL, os.SEEK_END)
+    n_bytes = int.from_bytes(file.read(4), "little")
+    file.seek(-_TAIL - n_bytes, os.SEEK_END)
+    return file.read(n_bytes)
 
 
-def _open_files(path: Place, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], Footer]:
-    """Return the Parquet files of a run and their footer; ``handles`` closes them."""
+def _open_files(path: Place, handles: ExitStack) -> tuple[dict[str, pq.ParquetFile], Footer, str]:
+    """Return the Parquet files of a run, their footer and a hash of their metadata; ``handles`` closes them."""
     files: dict[str, pq.ParquetFile] = {}
     schemas: dict[str, pa.Schema] = {}
     texts: set[bytes | None] = set()
+    digest = hashlib.sha256()
     for name in SCHEMAS:
         file = path / f"{name}.parquet"
         try:
@@ -150,6 +148,7 @@ def _open_files(path: Place, handles: ExitStack) -> tuple[dict[str, pq.ParquetFi
             files[name] = pq.ParquetFile(handle, page_checksum_verification=True)
             schemas[name] = files[name].schema_arrow
             texts.add((files[name].metadata.metadata or {}).get(METADATA_KEY))
+            digest.update(_metadata_of(handle))  # now, as another run may take the place of these files
         except UNREADABLE as e:
             raise damaged(file, e) from e
     if None in texts:
@@ -164,7 +163,7 @@ def _open_files(path: Place, handles: ExitStack) -> tuple[dict[str, pq.ParquetFi
             raise RunError(
                 f"{path / name}.parquet has {file.metadata.num_rows} rows, its footer says {promised}; render it again"
             )
-    return files, footer
+    return files, footer, digest.hexdigest()
 
 
 def _check_schema(file: Place, found: pa.Schema, table: str) -> None:
@@ -194,5 +193,5 @@ def holds_run(folder: Place) -> bool:
     """Return whether a folder is that of a run, whole or damaged, and not one that holds runs."""
     names = (MANIFEST, *FILES)
     if isinstance(folder, Remote):
-        return not folder.sizes().keys().isdisjoint(names)
+        return not sizes(folder).keys().isdisjoint(names)
     return any((folder / name).exists() for name in names)

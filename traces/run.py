@@ -67,8 +67,8 @@ class RunFiles(NamedTuple):
         Returns the picture, a PNG file.
     n_bytes : int
         Of all files.
-    digest : callable
-        Returns ``Run.digest``.
+    digest : str
+        As ``Run.digest``, of what was opened.
     reopen : callable
         Returns the run, with file handles of its own.
     """
@@ -76,7 +76,7 @@ class RunFiles(NamedTuple):
     parts: Sequence[PartFiles]
     image: Callable[[], bytes]
     n_bytes: int
-    digest: Callable[[], str]
+    digest: str
     reopen: Callable[[], "Run"]
 
 
@@ -129,7 +129,7 @@ class Run:
     @property
     def digest(self) -> str:
         """A hash of what the files say of themselves: the facts of the run, and the place and range of all columns."""
-        return self._files.digest()
+        return self._files.digest
 
     def part(self, number: int, n: int) -> "Run":
         """Return part ``number``, from 1 on, of ``n`` parts with about as many accesses each.
@@ -138,7 +138,7 @@ class Run:
         the read of the root, and goes on to where the next part begins: some may be empty.
         """
         part = self._files.reopen()
-        if part.footer != self.footer:
+        if (part.footer, part.digest) != (self.footer, self.digest):
             raise RunError(f"{self.path} has changed while it was read; start again")
         first, end = (part._ray_at(i * self.footer.n_accesses // n) for i in (number - 1, number))
         part.rows = range(first, end)

@@ -11,7 +11,7 @@ CH, RD, ST, DI = "traces/validation.py", "traces/reader.py", "traces/stream.py",
 MUTATIONS = [
     # Traces of addresses in CSV and Parquet
     Mutation("address files: types are ignored", "traces/address_files.py", "return table[as_array(numbers.indices)]", "return np.zeros(len(values), np.uint8)", "tests/traces/test_address_files.py"),
-    Mutation("address files: a row's last byte may be beyond 2^32", "traces/address_files.py", "(address + size > 1 << 32)", "(address > 1 << 32)", "tests/traces/test_address_files.py"),
+    Mutation("address files: a row's last byte may be beyond 2^32", "traces/address_files.py", "(address > (1 << 32) - size)", "(address > 1 << 32)", "tests/traces/test_address_files.py"),
     Mutation("address files: rows are numbered anew in each piece", "traces/address_files.py", "yield self._checked(table, n)", "yield self._checked(table, 0)", "tests/traces/test_address_files.py"),
     Mutation("address files: the last line without an end is lost", "traces/address_files.py", "        if rest.strip():\n", "        if rest.endswith(b'\\n'):\n", "tests/traces/test_address_files.py"),
     Mutation("address files: only a name tells", "traces/address_files.py", 'return head.startswith(_PARQUET) or "address" in', 'return False and "address" in', "tests/traces/test_address_files.py"),

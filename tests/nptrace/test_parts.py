@@ -19,7 +19,7 @@ from cachesim import parts
 from cachesim.config import CacheConfig
 from cachesim.replay import replay
 from cachesim.sweep import sweep
-from nptrace_base.engines import engine_of, processes
+from nptrace_base.engines import Engine, engine_of, processes
 from nptrace_base.errors import NptraceError
 from rtrace.render import Shooting, render
 from rtrace.scenes.stand_ins import stand_in
@@ -173,6 +173,22 @@ def test_what_is_no_fold_is_refused_with_the_reason(runs, tmp_path, args, messag
     assert CliRunner().invoke(cli.npcache, f"replay {run} {args}".split()).exit_code == 0
 
 
+def test_a_worker_of_another_version_counts_nothing(runs, monkeypatch):
+    class Older(Engine):
+        n_workers = 2
+
+        def __init__(self):
+            pass
+
+        def results(self, function, tasks):
+            with monkeypatch.context() as patch:
+                patch.setattr(parts, "code_of", lambda question: "older", raising=False)
+                yield from ((i, function(*task)) for i, task in enumerate(tasks))
+
+    with pytest.raises(NptraceError, match="a worker has other sources of nptrace than the command; install the same version"):
+        replay(runs["bvh"], CACHES, engine=Older())
+
+
 # Files
 
 
@@ -247,10 +263,25 @@ def test_gaps_overlaps_other_runs_and_other_questions(runs, tmp_path):
     assert "answer different questions" in refused("combine", files[0], asked[1], files[2])
 
 
+def test_parts_that_other_sources_counted_are_not_joined(runs, tmp_path, monkeypatch):
+    """As on the nodes of a job array with another version."""
+    options = ["--size", "1K", "--prefetch", "none,traced"]
+    files = summaries(runs["bvh"], tmp_path, 2, options)
+    read, source = Path.read_bytes, ROOT / "cachesim" / "fast_lru.py"
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == source))
+        parts._digest.cache_clear()
+        npcache("summarise", runs["bvh"].path, "--part", "2/2", *options, "-o", files[1])
+        message = "was counted by other sources of nptrace than those of this command"
+        assert f"{files[0]} {message}" in refused("combine", *files)
+    parts._digest.cache_clear()
+    assert f"{files[1]} {message}" in refused("combine", *files)
+
+
 def test_a_damaged_file_is_one_sentence(runs, tmp_path):
     files = summaries(runs["bvh"], tmp_path, 2, ["--size", "1K"])
     good = files[0].read_bytes()
-    for bad in (b"", b"no Arrow", good[: len(good) // 2], good.replace(b'"format_version": 1', b'"format_version": 9')):
+    for bad in (b"", b"no Arrow", good[: len(good) // 2], good.replace(b'"format_version": 2', b'"format_version": 9')):
         files[0].write_bytes(bad)
         message = refused("combine", *files)
         assert str(files[0]) in message and "make it again" in message

@@ -7,6 +7,7 @@ from click.testing import CliRunner
 
 import cli
 import nptrace as nt
+from nptrace import run_tasks
 from tests.nptrace.test_terminal import inputs
 
 
@@ -26,6 +27,16 @@ def test_rows_are_those_of_one_process(folder):
     assert list(compared) == list(nt.compare(runs, prefetch="push", baselines=False))
     assert list(table) == list(nt.table1(n="measured", miss=50))
     assert [row["run"] for row in compared] != [compared[0]["run"]] * len(compared)
+
+
+def test_a_worker_of_another_version_is_refused(folder, monkeypatch):
+    class Older(ThreadPoolExecutor):
+        def submit(self, function, *args):
+            monkeypatch.setattr(run_tasks, "_code", lambda: "older", raising=False)
+            return super().submit(function, *args)
+
+    with Older(1) as workers, pytest.raises(nt.NptraceError, match="a worker has other sources of nptrace than the command"):
+        nt.compare("traces/bunny-bvh", prefetch="push", baselines=False, workers=workers)
 
 
 @pytest.mark.slow

@@ -9,8 +9,10 @@ from click.testing import CliRunner
 
 import cli
 from nptrace import studies
+from nptrace import study as module
 from nptrace.study import read_study, run_study
 from nptrace_base.errors import NptraceError
+from nptrace_base.sources import closure
 from tests.nptrace.test_terminal import inputs
 
 ROOT = Path(cli.__file__).resolve().parent
@@ -95,6 +97,24 @@ def test_it_goes_on_where_it_was_stopped(folder, monkeypatch):
     assert counted == {"render": 8, "replay": 10 + 32 - 9, "time": 8}
     assert run_study(study) == rows and counted["render"] == 8 and counted["time"] == 8
     assert len(rows) == 8 * 8 + 16
+
+
+def test_rows_of_another_version_are_counted_again(folder, monkeypatch):
+    """Its counts may be wrong; the runs stay, as they do for every command."""
+    text = STUDY.replace('["16x16", "24x16"]', '"16x16"').replace(', "morton"', "").partition("[time]")[0]
+    (folder / "study.toml").write_text(text)
+    study, counted, real = read_study(Path("study.toml")), [], studies.replayed
+    monkeypatch.setattr(studies, "replayed", lambda *args, **options: counted.append(1) or real(*args, **options))
+    rows = run_study(study)
+    assert run_study(study) == rows and len(counted) == 2 * 4
+    source = ROOT / "cachesim" / "exact.py"
+    assert source in closure([Path(studies.__file__)])
+    read = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == source))
+    monkeypatch.setattr(studies, "rendered", None)
+    module._code.cache_clear()
+    assert run_study(study) == rows and len(counted) == 2 * 2 * 4
+    module._code.cache_clear()
 
 
 def test_another_run_of_the_name_is_kept_and_a_damaged_one_is_made_again(folder):

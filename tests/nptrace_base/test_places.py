@@ -1,5 +1,6 @@
 """Where runs are: local paths and addresses of object stores, which hold no secrets and no halves of files."""
 
+import os
 import pickle
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pyarrow as pa
 import pytest
 
 import nptrace_base.places as places
-from nptrace_base.places import PlaceError, Remote, opened, place, publish, sizes
+from nptrace_base.places import PlaceError, Remote, older, opened, place, publish, sizes
 
 
 @pytest.mark.parametrize(
@@ -102,6 +103,39 @@ def test_files_are_written_listed_read_and_deleted(bucket, tmp_path):
     assert [each.name for each in (bucket / "a").folders()] == ["sub"]
 
 
+def test_files_that_were_written_before_a_moment(bucket, tmp_path):
+    publish(bucket / "a", b"12")
+    publish(bucket / "b", b"3")
+    (tmp_path / "bucket" / "folder").mkdir()
+    os.utime(tmp_path / "bucket" / "a", (1000, 1000))
+    for folder in (bucket, tmp_path / "bucket"):
+        assert older(folder, 1000.5) == {"a"} and older(folder, 1000) == set()
+        assert older(folder, 1e11) == {"a", "b"} and older(folder / "none", 1e11) == set()
+
+
+def test_a_file_that_vanishes_while_a_folder_is_listed_hides_no_other(tmp_path, monkeypatch):
+    """As beside a render that is about to finish, which deletes what its workers needed."""
+    for name in "abc":
+        publish(tmp_path / name, b"12")
+    listed = places.os.scandir
+
+    class Listed(list):
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *error):
+            return None
+
+    def scandir(folder):
+        with listed(folder) as entries:
+            found = Listed(entries)
+        (tmp_path / "b").unlink()
+        return found
+
+    monkeypatch.setattr(places.os, "scandir", scandir)
+    assert sizes(tmp_path) == {"a": 2, "c": 2}
+
+
 @pytest.mark.parametrize("where", ["remote", "local"])
 @pytest.mark.parametrize("before", [None, b"before"])
 def test_an_exception_while_writing_publishes_nothing(bucket, tmp_path, where, before):
@@ -130,7 +164,7 @@ def test_what_a_store_answers_is_one_sentence(bucket, monkeypatch, error):
             raise error(f"AWS Error NETWORK_CONNECTION during HeadObject operation{'.' * 900}\nand more")
 
     monkeypatch.setattr(places, "filesystem_of", lambda scheme, authority, query: (Down(), authority))
-    for what, ask in (("read", bucket.exists), ("list", bucket.sizes), ("read", bucket.read_bytes),
+    for what, ask in (("read", bucket.exists), ("list", bucket.folders), ("read", bucket.read_bytes),
                       ("write", lambda: bucket.publish([b""])), ("delete", bucket.unlink)):  # fmt: skip
         with pytest.raises(PlaceError) as found:
             ask()

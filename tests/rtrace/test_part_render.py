@@ -11,11 +11,13 @@ import pytest
 import rtrace.part_render as part_render
 import rtrace.render as rendering
 from nptrace_base.engines import Engine, WorkersLostError, engine_of, processes
+from nptrace_base.places import publish
 from rtrace.part_render import render_parts, trace_part
 from rtrace.ray_file import read_rays
 from rtrace.render import Shooting, render
 from rtrace.scenes.scene import scene_from_triangles
 from rtrace.scenes.shapes import boxes, icosphere
+from rtrace.shared_arrays import mapped
 from rtrace.trees.tree_cache import build_tree
 from traces.format import RunError
 from traces.manifest import MANIFEST
@@ -212,6 +214,24 @@ def test_parts_of_another_run_are_not_taken(stopped, scene, trees, monkeypatch):
     assert open_run(stopped).footer.tree.kind == "bvh64"
 
 
+def test_what_killed_renders_of_other_runs_left_is_deleted_with_the_next_manifest(stopped, scene, trees):
+    """It would stay for good: nobody asks for their records again. What is newer may be of a render that still runs."""
+    for name in (".rays-1.99-ab.tmp.parquet", "accesses-0.parquet.0123abcd.upload"):
+        (stopped / name).write_bytes(b"")
+    left = {file.name for file in stopped.iterdir()}
+    for name in left:
+        os.utime(stopped / name, (1000, 1000))
+    new = f"colours-{'0' * 32}.raw"
+    publish(stopped / new, b"")
+    os.utime(stopped / new, (1e11, 1e11))
+    render_parts(scene, trees["bvh64"], SHOOTINGS[0], stopped, part=700)
+    names = {file.name for file in stopped.iterdir()}
+    assert not names & left and new in names
+    assert len(names) == 1 + 3 + 2 * 3
+    render(scene, trees["bvh64"], SHOOTINGS[0], stopped.with_name("whole"))
+    assert_same(open_run(stopped), open_run(stopped.with_name("whole")))
+
+
 def test_either_form_replaces_the_other(tmp_path, scene, trees):
     path = tmp_path / "run"
     for write in (render, render_parts, render_parts, render):
@@ -248,6 +268,56 @@ def test_a_part_that_vanishes_before_the_manifest_is_named(stopped, scene, trees
     assert not (stopped / MANIFEST).exists()
 
 
+@pytest.mark.parametrize("when", ["before its last part", "before the manifest"])
+@pytest.mark.parametrize("kind", ["kdtree", "bvh64"])
+def test_of_two_equal_renders_the_second_takes_the_run_of_the_first(tmp_path, scene, trees, monkeypatch, kind, when):
+    """The first deletes what the second's workers would map, and the colours of its parts."""
+    path, done, real = tmp_path / "run", [], trace_part
+
+    def first():
+        with monkeypatch.context() as patch:
+            patch.setattr(part_render, "trace_part", real)
+            done.append(render_parts(scene, trees[kind], SHOOTINGS[0], path, part=700))
+
+    class Second(Engine):
+        def __init__(self):
+            pass
+
+        def results(self, function, tasks):
+            yield 0, real(*tasks[0])
+            if when == "before its last part":
+                mapped.cache_clear()
+                first()
+            yield from ((i, real(*tasks[i])) for i in (1, 2))
+
+    on_write = first if when == "before the manifest" else lambda: None
+    summary = render_parts(scene, trees[kind], SHOOTINGS[0], path, part=700, engine=Second(), on_write=on_write)
+    assert [summary] == done
+    render(scene, trees[kind], SHOOTINGS[0], tmp_path / "whole")
+    assert_same(open_run(path), open_run(tmp_path / "whole"))
+    assert len(list(path.iterdir())) == 3 + 2 * 3
+
+
+def test_the_run_of_another_render_is_no_excuse(stopped, scene, trees, monkeypatch):
+    """Neither for trouble with this one, nor if it is another run."""
+
+    def full(*args):
+        raise OSError(28, "No space left on device")
+
+    def other(*args):
+        for file in stopped.glob("colours-*"):
+            file.unlink()
+        raise FileNotFoundError(2, "No such file")
+
+    render_parts(scene, trees["bvh"], SHOOTINGS[0], stopped, part=700)
+    monkeypatch.setattr(part_render, "_picture", full)
+    with pytest.raises(RunError, match="No space left on device"):
+        render_parts(scene, trees["bvh"], SHOOTINGS[0], stopped, part=700)
+    monkeypatch.setattr(part_render, "_picture", other)
+    with pytest.raises(RunError, match="No such file"):
+        render_parts(scene, trees["bvh64"], SHOOTINGS[0], stopped, part=700)
+
+
 def test_a_worker_refuses_a_tree_that_was_changed(tmp_path, scene, trees):
     class Changing(Engine):
         def __init__(self):
@@ -264,9 +334,23 @@ def test_a_worker_refuses_a_tree_that_was_changed(tmp_path, scene, trees):
         render_parts(scene, trees["bvh"], SHOOTINGS[0], tmp_path / "run", engine=Changing())
 
 
+def test_a_worker_of_another_version_traces_nothing(tmp_path, scene, trees, monkeypatch):
+    class Older(Engine):
+        def __init__(self):
+            pass
+
+        def results(self, function, tasks):
+            with monkeypatch.context() as patch:
+                patch.setattr(part_render, "_code", lambda: "older", raising=False)
+                yield from ((i, function(*task)) for i, task in enumerate(tasks))
+
+    with pytest.raises(RunError, match="a worker has other sources of nptrace than the command; install the same version"):
+        render_parts(scene, trees["bvh"], SHOOTINGS[0], tmp_path / "run", engine=Older())
+    assert not [*tmp_path.glob("run/accesses-*"), *tmp_path.glob("run/part-*")]
+
+
 def test_arrays_are_mapped_as_they_were(tmp_path, scene, trees):
-    from nptrace_base.places import publish
-    from rtrace.shared_arrays import laid_out, mapped
+    from rtrace.shared_arrays import laid_out
     from traces.manifest import file_facts
 
     for tree in trees.values():

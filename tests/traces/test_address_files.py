@@ -87,6 +87,16 @@ def test_what_is_left_out_is_a_read_of_one_byte(folder):
     assert result.demand_accesses == 2  # across a line boundary
 
 
+def test_addresses_of_64_bits_may_have_zeros_in_front(folder):
+    """As many tools write them; where the number is too large, that is what is said."""
+    (folder / "y.csv").write_text("address\n0x0000000012345678\n0X00000000FFFFFFFF\n0000000000000000031\n")
+    assert [row[0] for row in rows_of("y.csv")] == [0x12345678, 2**32 - 1, 31]
+    for text, digits in (("0x00007ffe12345678", "7ffe12345678"), ("0xffffffffffffffff", "f" * 16)):
+        (folder / "y.csv").write_text(f"address\n{text}\n")
+        with pytest.raises(NptraceError, match=f"row 1: 1 B at {digits} reach past 2\\^32"):
+            rows_of("y.csv")
+
+
 def test_a_long_file_is_read_in_pieces(folder, monkeypatch):
     import traces.address_files as files
 
@@ -126,6 +136,11 @@ def test_what_cannot_be_is_one_sentence(folder, text, sentence):
         ({"address": [1.5]}, "column 'address' is of type double; write whole numbers"),
         ({"address": pa.array([1, None], pa.int64())}, "row 2: address None is no whole number from 0"),
         ({"address": [1, -1]}, "row 2: address -1 is no whole number from 0"),
+        ({"address": pa.array([1, 2**63], pa.uint64())}, "row 2: 1 B at 8000000000000000 reach past 2^32"),
+        ({"address": pa.array([2**64 - 1], pa.uint64())}, "row 1: 1 B at ffffffffffffffff reach past 2^32"),
+        ({"address": pa.array([1, None], pa.uint32())}, "row 2: address None is no whole number from 0"),
+        ({"address": [16], "size": pa.array([2**64 - 16], pa.uint64())}, "row 1: 18446744073709551600 B at 10 reach past"),
+        ({"address": [0], "size": [2**32]}, "row 1: 4294967296 B at 0 reach past 2^32"),
         ({"address": [1], "type": [7]}, "row 1: type 7 is no access type"), ({"x": [1]}, "has no column 'address'"),
     ],
 )  # fmt: skip

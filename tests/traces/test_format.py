@@ -264,3 +264,19 @@ def test_runs_are_found_by_name(tmp_path):
     (tmp_path / ".a.1-2.tmp").mkdir()
     assert [p.name for p in find_runs(tmp_path)] == ["a", "b"]
     assert find_runs(tmp_path / "nowhere") == []
+
+
+def test_the_digest_is_that_of_the_files_that_are_open(tmp_path):
+    """Another run may have taken their place, whose digest must not stand beside counts of the first one."""
+    write(tmp_path / "run")
+    run = open_run(tmp_path / "run")
+    digest = open_run(tmp_path / "run").digest
+    file = tmp_path / "run" / "rays.parquet"
+    table = pq.read_table(file).replace_schema_metadata(pq.read_metadata(file).metadata)
+    file.unlink()
+    pq.write_table(table, file, compression="none")
+    other = open_run(tmp_path / "run")
+    assert other.footer == run.footer and other.digest != digest
+    assert run.digest == digest
+    with pytest.raises(RunError, match="has changed while it was read; start again"):
+        run.part(1, 2)
