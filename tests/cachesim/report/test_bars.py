@@ -116,6 +116,9 @@ def test_texts_tell_all_cases_apart_and_nothing_else():
     assert len(set(texts_of(rows))) == len(rows)
     assert texts_of(rows)[1] == "random seed 1, stored, none" and texts_of(rows[:1]) == [""]
     assert shared_text(rows) == "bunny-bvh, 1K 1-way, 32 B lines"
+    of_reads = [row(), row(reads="children", flush="never"), row(reads="own", flush="ray")]
+    assert texts_of(of_reads) == ["reads own, flush never", "reads children, flush never", "reads own, flush ray"]
+    assert shared_text(of_reads[1:2]) == "bunny-bvh, 1K 1-way, 32 B lines, lru, layout stored, reads children, prefetch none"
     assert facts_of(row(ways=32, line_bytes=32))["cache"] == "1K full"
 
 
