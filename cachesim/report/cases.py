@@ -16,6 +16,12 @@ FACTS = ("cache", "lines", "policy", "layout", "reads", "flush", "prefetch", "gr
 USUAL = {"reads": "own", "flush": "never"}
 
 
+#: What the mark of a stand-in means, below a table of the paper's scenes.
+STAND_IN_NOTE = (
+    "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
+)
+
+
 def identity_of(row: Row) -> RunIdentity:
     """Return which run a row is of."""
     facts: dict[str, Any] = {name: row.get(name) for name in COLUMNS}

@@ -6,6 +6,7 @@ from statistics import median
 from typing import Any
 
 from cachesim.clock.parts import PIECES
+from cachesim.report.cases import STAND_IN_NOTE
 from cachesim.report.pictures import drawn
 from nptrace_base.tables import Table, number
 
@@ -37,9 +38,21 @@ def tables(rows: Sequence[Row]) -> tuple[list[Table], list[str]]:
             sections.add(len(lines) - 1)
     return [Table("", header, lines, n_left=2, sections=sections, extra=("cells", "least"))], [
         *NOTES,
+        *_stand_ins(rows),
         *_doubt(rows),
         *verdict(rows),
     ]
+
+
+def scene_of(row: Row) -> str:
+    """Return the scene's name, with ``(stand-in)`` when it is one."""
+    return f"{row['scene']}{' (stand-in)' if row.get('stand_in') else ''}"
+
+
+def _stand_ins(rows: Sequence[Row]) -> list[str]:
+    """Return the usual note on stand-ins, and which scenes of the map are some."""
+    found = dict.fromkeys(scene_of(row) for row in rows if row.get("stand_in"))
+    return [f"{STAND_IN_NOTE} In this map: {', '.join(found)}."] if found else []
 
 
 def _doubt(rows: Sequence[Row]) -> list[str]:
@@ -91,7 +104,7 @@ def verdict(rows: Sequence[Row]) -> list[str]:
 
 def _where(row: Row) -> str:
     cache = f"{row['size_bytes'] // 1024}K {row['ways']}-way"
-    return f"{row['scene']}, leaf {row['leaf']}, {cache}, triangle {row['triangle']}, miss {row['miss']}, rays {row['rays']}"
+    return f"{scene_of(row)}, leaf {row['leaf']}, {cache}, triangle {row['triangle']}, miss {row['miss']}, rays {row['rays']}"
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
@@ -121,7 +134,8 @@ def plot(rows: Sequence[Row], path: Path) -> None:
                 panel.set_title(f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)}", fontsize=8)
                 panel.set_xticks(range(len(across)), [f"{rays} x {miss}" for rays, miss in across], rotation=90, fontsize=6)
                 panel.set_yticks(range(len(down)), [f"{leaf}, {triangle}" for leaf, triangle in down], fontsize=6)
-        figure.supxlabel("rays in flight x miss latency (cycles)", fontsize=8)
+        scenes = ", ".join(dict.fromkeys(map(scene_of, rows)))
+        figure.supxlabel(f"rays in flight x miss latency (cycles)\nscenes: {scenes}", fontsize=8)
         figure.supylabel("triangles per leaf, cycles per triangle test", fontsize=8)
         assert image is not None
         figure.colorbar(image, ax=panels, label="median speed-up over scenes and caches", shrink=0.6)

@@ -6,6 +6,7 @@ from itertools import pairwise
 from cachesim.clock.parameters import Clock
 from cachesim.clock.timing import Timing
 from cachesim.config import format_bytes
+from cachesim.report.cases import STAND_IN_NOTE
 from cachesim.report.table1 import NAMES, PAPER_N, TREES, Equation, Table1Row
 from nptrace_base.tables import Table, number, span
 
@@ -44,9 +45,7 @@ def tables(rows: Sequence[Table1Row]) -> list[Table]:
 
 def notes(rows: Sequence[Table1Row]) -> list[str]:
     """Return the notes below the tables."""
-    stand_ins = [] if not any(row.is_stand_in for row in rows) else [
-        "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
-    ]  # fmt: skip
+    stand_ins = [STAND_IN_NOTE] if any(row.is_stand_in for row in rows) else []
     asked = {(row.policy, row.layout) for row in rows} - {("lru", "stored")}
     other = [
         f"Ours with {policy} replacement and the layout {layout}; the paper's, whose caches are LRU, are what they are."
