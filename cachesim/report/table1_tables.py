@@ -43,15 +43,32 @@ def tables(rows: Sequence[Table1Row]) -> list[Table]:
     return [table for table in made if table.rows] + [_acpr_table(rows)] + ([_time_table(times)] if times else [])
 
 
-def notes(rows: Sequence[Table1Row]) -> list[str]:
-    """Return the notes below the tables."""
+def notes(rows: Sequence[Table1Row], of_runs: Sequence[str] = ()) -> list[str]:
+    """Return the notes below the tables; ``of_runs`` are those on which runs they are of."""
     stand_ins = [STAND_IN_NOTE] if any(row.is_stand_in for row in rows) else []
-    asked = {(row.policy, row.layout) for row in rows} - {("lru", "stored")}
-    other = [
-        f"Ours with {policy} replacement and the layout {layout}; the paper's, whose caches are LRU, are what they are."
-        for policy, layout in asked if len(asked) == 1
+    return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *of_runs, *_asked(rows), *verdict(rows)]
+
+
+def _asked(rows: Sequence[Table1Row]) -> list[str]:
+    """Return what was asked for and is not as usual: in one sentence if it is the same for all trees, or tree by tree."""
+    settings = {title: _settings([row for row in rows if row.tree == tree]) for tree, title in TREES.items()}
+    settings = {title: of for title, of in settings.items() if of}
+    beside = "the paper's, whose caches are LRU, are what they are."
+    if len(set(settings.values())) == 1:
+        of = next(iter(settings.values()))
+        return [f"Ours with {of}; {beside}"] if of != _USUAL else []
+    return [f"{title}: ours with {of}; {beside}" for title, of in settings.items() if of != _USUAL]
+
+
+_USUAL = "lru replacement and the layout stored"
+
+
+def _settings(rows: Sequence[Table1Row]) -> str:
+    texts = [
+        f"{row.policy} replacement and the layout {row.layout}" + (f", reads {row.reads}" if row.reads != "own" else "")
+        for row in rows
     ]  # fmt: skip
-    return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *other, *verdict(rows)]
+    return ", or ".join(dict.fromkeys(texts))
 
 
 def _acpr_note(rows: Sequence[Table1Row]) -> str:

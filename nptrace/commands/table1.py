@@ -81,7 +81,7 @@ def table1(
     from cachesim.layout import parse_layout
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
-    from nptrace.studies import table1_rows, table1_runs
+    from nptrace.studies import table1_notes, table1_rows, table1_runs
     from nptrace_base.engines import engine_of
     from traces.reader import open_run
 
@@ -108,7 +108,7 @@ def table1(
         rows = table1_rows(chosen, bar, policy=policy, layout=layout, equation=numbers, threads=threads, engine=engine)
     for tree, scene in table.missing(chosen):
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
-    output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
+    output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
     done(f"{len(chosen)} runs, {len(rows)} caches", began, f"npcache compare {again(sources, folder)}".rstrip())
 
 
