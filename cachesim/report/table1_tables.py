@@ -7,6 +7,7 @@ from cachesim.clock.parameters import Clock
 from cachesim.clock.timing import Timing
 from cachesim.config import format_bytes
 from cachesim.report.cases import STAND_IN_NOTE
+from cachesim.report.replay_tables import direction
 from cachesim.report.table1 import NAMES, PAPER_N, TREES, Equation, Table1Row
 from nptrace_base.tables import Table, number, span
 
@@ -150,15 +151,30 @@ def verdict(rows: Sequence[Table1Row]) -> list[str]:
     found = []
     for tree, title in TREES.items():
         members = [row for row in rows if row.tree == tree]
-        if members:
-            paper, demand = (_fall([row.ours[name] for row in members]) for name in ("miss_ratio", "demand_ratio"))
+        if not members:
+            continue
+        paper, demand = (_changes([row.ours[name] for row in members]) for name in ("miss_ratio", "demand_ratio"))
+        if not any(row.ours["prefetches"] for row in members):
+            found.append(f"{title}: nothing is prefetched, so that A and B are the same.")
+        elif not paper or not demand:
+            found.append(f"{title}: nothing misses without prefetching, so that B/A has no value.")
+        else:
             times = [100 / row.timing.speed_up - 100 for row in members if row.timing and row.timing.speed_up]
             found.append(
-                f"{title}: the paper's miss rate changes by {paper} %, because its prefetches count as accesses; demand "
-                f"misses change by {demand} %" + (f"; the time of a ray by {span(times, sign=True)} %." if times else ".")
+                f"{title}: the paper's miss rate changes by {span(paper, sign=True)} %, {_WHY[direction(paper)]}; demand "
+                f"misses change by {span(demand, sign=True)} %"
+                + (f"; the time of a ray by {span(times, sign=True)} %." if times else ".")
             )
     return found
 
 
-def _fall(ratios: Sequence[float | None]) -> str:
-    return span([value - 100 for value in ratios if value is not None], sign=True)
+#: Why the paper's miss rate changes: B/A is that of the lines filled, over that of the accesses.
+_WHY = {
+    "down": "because its prefetches count as accesses",
+    "up": "although its prefetches count as accesses, since the lines filled rise by more",
+    "both": "since its prefetches count as accesses, and the lines filled rise by less or by more",
+}
+
+
+def _changes(ratios: Sequence[float | None]) -> list[float]:
+    return [value - 100 for value in ratios if value is not None]
