@@ -95,6 +95,18 @@ def test_speed_ups_without_the_bound(run, figures, tmp_path):
     assert axes.get_title() == f"bunny-bvh (stand-in) (bound {rows[1]['speed_up']:.2f})"
 
 
+def test_a_bound_is_named_only_where_all_bars_share_it(figures, tmp_path):
+    """The largest of several machines stood in the title."""
+    of_one = [row(prefetch=each, speed_up=s, group="policy") for each, s in (("none", 1.0), ("push", 1.2), ("perfect", 3.0))]
+    baseline = row(prefetch="none", speed_up=1.1, group="baseline", line_bytes=64, layout="veb")
+    cases = [{}, {"ways": 2}, {"clock": "paper", "rays": 4}, {"layout": "veb"}]
+    for i, changes in enumerate(cases):
+        others = [each | changes | ({"speed_up": 9.4} if each["prefetch"] == "perfect" else {}) for each in of_one]
+        draw_speed_ups([*of_one, baseline, *(others if changes else [])], tmp_path / "x.png")
+        [axes] = figures[i].axes
+        assert axes.get_title() == ("bunny-bvh" if changes else "bunny-bvh (bound 3.00)")
+
+
 def test_table_1_has_both_numbers(figures, tmp_path):
     names = ("demand_miss_rate_without", "paper_ratio", "demand_ratio", "traffic_ratio")
     values = dict.fromkeys(names, 0.25) | {f"{name}_paper": 0.5 for name in names}
