@@ -122,6 +122,28 @@ def test_table_1_has_both_numbers(figures, tmp_path):
     assert len(figures[0].axes[1].lines[1].get_ydata()) == 3  # a rate without a value has no point
 
 
+def test_two_tables_1_are_told_apart(figures, tmp_path):
+    """They stood side by side as equal caches."""
+    names = ("demand_miss_rate_without", "paper_ratio", "demand_ratio", "traffic_ratio")
+    values = dict.fromkeys(names, 0.25) | {f"{name}_paper": 0.5 for name in names}
+    tables = [
+        {"policy": "lru"},
+        {"policy": "fifo"},
+        {"policy": "lru", "run": "bunny-bvh-512x512", "width": 512, "height": 512},
+    ]
+    rows = [
+        row(run=f"{scene}-bvh", scene=scene, ways=ways) | values | (of if scene == "bunny" else {"policy": of["policy"]})
+        for of in tables for scene in ("bunny", "room") for ways in (1, 2)
+    ]  # fmt: skip
+    draw_table1(rows[:8], tmp_path / "x.png")
+    draw_table1(rows, tmp_path / "x.png")
+    ticks = [[text.get_text() for text in figure.axes[0].get_xticklabels()] for figure in figures]
+    assert ticks[0] == [f"1K({ways}) {policy}" for _ in "ab" for policy in ("lru", "fifo") for ways in (1, 2)]
+    assert ticks[1][:6:2] == ["1K(1) bunny-bvh (8x8), lru", "1K(1) bunny-bvh (8x8), fifo", "1K(1) bunny-bvh-512x512, lru"]
+    draw_table1(rows[:4], tmp_path / "x.png")
+    assert [text.get_text() for text in figures[2].axes[0].get_xticklabels()] == ["1K(1)", "1K(2)"] * 2
+
+
 def test_texts_tell_all_cases_apart_and_nothing_else():
     rows = [row(prefetch=prefetch, layout=layout, policy="random", policy_seed=seed) for prefetch in ("none", "stack")
             for layout in ("stored", "bfs") for seed in (0, 1)]  # fmt: skip
