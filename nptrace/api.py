@@ -360,7 +360,7 @@ def table1(
     if preset is not None:
         if preset not in PRESETS:
             raise NptraceError(f"preset: {preset!r} is none of {', '.join(PRESETS)}")
-        if _given(sources) or workers or scheduler or (policy, layout) != ("lru", "stored"):
+        if _given(sources) or traces != "traces" or workers or scheduler or (policy, layout) != ("lru", "stored"):
             raise NptraceError("preset: it has its own pictures, caches and layouts; give n, hit, miss and threads alone")
         with Progress() as bar:
             rows = preset_rows(preset, bar, equation=equation, threads=threads)
