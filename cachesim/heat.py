@@ -7,8 +7,9 @@ from functools import cached_property
 import numpy as np
 
 from cachesim.by_group import GroupedResult, events_by, replay_by
-from cachesim.clock.by_pixel import cycles_by_pixel, timed
+from cachesim.clock.by_pixel import cycles_by_pixel
 from cachesim.clock.parameters import Clock
+from cachesim.clock.timing import timed_policy
 from cachesim.config import CacheConfig
 from cachesim.prefetch import Prefetch
 from cachesim.source import RunSource
@@ -51,10 +52,9 @@ class Setting:
         needs, cache, prefetch = KINDS[kind][1], str(self.config), f"prefetch {self.prefetch}"
         if needs == "requests" and self.prefetch.trigger:
             needs = "cache"  # which makes them
-        return {
-            "": "", "requests": prefetch, "cache": f"{cache}, {prefetch}",
-            "machine": f"{cache}, machine {self.clock.name}, prefetch {timed(self.prefetch)}",
-        }[needs]  # fmt: skip
+        if needs == "machine":
+            return f"{cache}, machine {self.clock.name}, prefetch {timed_policy(self.prefetch)}"
+        return {"": "", "requests": prefetch, "cache": f"{cache}, {prefetch}"}[needs]
 
 
 class HeatMaps:

@@ -350,7 +350,7 @@ def table1(
     """
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
-    from nptrace.studies import preset_rows, table1_rows, table1_runs
+    from nptrace.studies import preset_rows, table1_notes, table1_rows, table1_runs
     from nptrace.table1_study.presets import PRESETS, note
 
     for name, cycles in (("hit", hit), ("miss", miss)):
@@ -360,7 +360,7 @@ def table1(
     if preset is not None:
         if preset not in PRESETS:
             raise NptraceError(f"preset: {preset!r} is none of {', '.join(PRESETS)}")
-        if _given(sources) or workers or scheduler or (policy, layout) != ("lru", "stored"):
+        if _given(sources) or traces != "traces" or workers or scheduler or (policy, layout) != ("lru", "stored"):
             raise NptraceError("preset: it has its own pictures, caches and layouts; give n, hit, miss and threads alone")
         with Progress() as bar:
             rows = preset_rows(preset, bar, equation=equation, threads=threads)
@@ -372,7 +372,7 @@ def table1(
         rows = table1_rows(
             table1_runs(runs, traces), bar, policy=policy, layout=layout, equation=equation, threads=threads, engine=engine
         )  # fmt: skip
-    return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
+    return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
 
 
 def _given(sources: Any) -> list[Any]:

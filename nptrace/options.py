@@ -7,6 +7,7 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from nptrace.groups import BadInput
 from nptrace_base.errors import NptraceError
@@ -27,6 +28,17 @@ def gathered(name: str, kind: type) -> Callable[[Callable[..., Any]], Callable[.
         return command
 
     return decorate
+
+
+def given(*names: str) -> list[str]:
+    """Return those of the running command's parameters, by the names of its function, that its user gave, as options."""
+    context = click.get_current_context()
+    typed = {each.name: each.opts[0] if isinstance(each, click.Option) else "RUN" for each in context.command.params}
+    usual = (None, ParameterSource.DEFAULT)
+    return [
+        str(typed[name]) for name in names
+        if context.get_parameter_source(name) not in usual and context.params[name] != ()  # no RUN is typed too
+    ]  # fmt: skip
 
 
 class ListOf(click.ParamType):

@@ -72,6 +72,9 @@ def estimate_plan(
 
     configs, prefetches, layouts = replay_plan(size, ways, line, policy, 0, "traced", layout)
     if is_table1:
+        for name, value, usual in (("size", size, "8K"), ("ways", ways, "1"), ("line", line, "32")):
+            if value != usual:
+                raise OptionError(name, "is_table1 has the caches of Table I; leave out one of both")
         policies = listed("policy", policy, str.lower)
         configs = [replace(each, policy=one) for one in policies for each in of_table1()]
     check_lru(configs)

@@ -236,6 +236,27 @@ def table1_rows(
     return table1(chosen, policy=policy, layout=layout, equation=equation, threads=threads, progress=advance)
 
 
+def table1_notes(rows: "Sequence[Table1Row]") -> list[str]:
+    """Return the notes below Table I of runs; one names every run that is not as usual."""
+    from cachesim.report import table1_tables
+    from rtrace.run_names import unusual
+    from traces.identity import labels
+
+    names = labels(row.identity for row in rows)
+    views: dict[str, set[tuple[str | None, str | None]]] = {}
+    for each in names:
+        views.setdefault(str(each.scene).lower(), set()).add((each.camera, each.light))
+    found = []
+    for each, name in names.items():
+        facts = unusual(each)
+        if len(views[str(each.scene).lower()]) > 1 and not {"another camera", "another light"} & set(facts):
+            facts.append("a view that another row of the scene does not have")
+        if facts:
+            found.append(f"{name}: {', '.join(facts)}")
+    note = "Runs that are not as usual, each scene's own view with every default, and do not belong into one table with such: "
+    return table1_tables.notes(rows, [f"{note}{'; '.join(found)}."] if found else [])
+
+
 def preset_rows(name: str, bar: Progress, *, equation: "Equation", threads: int | None = None) -> "list[Table1Row]":
     """Return Table I under a model of ``table1_study.presets``: scenes are traced at their own views; no run is written."""
     from cachesim.report.table1 import SCENES, row_of

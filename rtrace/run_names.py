@@ -15,7 +15,7 @@ from rtrace.scenes.scene import Scene
 from rtrace.shooting import Shooting
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
-from traces.identity import STAND_IN
+from traces.identity import STAND_IN, RunIdentity, camera_text, point_text
 from traces.node_formats import NODE_FORMATS
 
 
@@ -39,6 +39,38 @@ def run_name(scene: Scene, kind: str, params: Mapping[str, Any], shooting: Shoot
     if (shooting.width, shooting.height) != (usual["width"], usual["height"]):
         parts.append(f"{shooting.width}x{shooting.height}")
     return "-".join([*parts, *([scene.view] if scene.view else [])])
+
+
+def unusual(of: RunIdentity) -> list[str]:
+    """Return what a run differs in from that of its scene's own view with every default, each as a short text.
+
+    The own view of a stand-in, and of a scene that is not in the catalogue, is fitted to its mesh, and is not known here.
+    """
+    from rtrace.scenes.catalog import CATALOG
+
+    usual = Shooting()
+    given = dict(each.split("=", 1) for each in (of.builder or "").split())
+    found = _builder_parts(str(of.tree), {name: _value(text) for name, text in given.items()})
+    if (of.width, of.height) != (usual.width, usual.height):
+        found.append(f"{of.pixels} pixels")
+    if of.order != usual.order:
+        found.append(f"order {of.order}")
+    if of.batch not in (None, usual.batch):
+        found.append(f"batch {of.batch}")
+    found += of.knobs
+    entry = None if of.stand_in else CATALOG.get((of.scene or "").lower())
+    if entry is not None:
+        found += ["another camera"] if of.camera != camera_text(entry.camera) else []
+        found += ["another light"] if of.light != point_text(entry.light) else []
+    return found
+
+
+def _value(text: str) -> Any:
+    """Return the number that a text is, or the text."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _builder_parts(kind: str, params: Mapping[str, Any]) -> list[str]:

@@ -14,9 +14,9 @@ from cachesim.clock.log import LOG_BOX, LOG_READ, LOG_TRIANGLES
 from cachesim.clock.parameters import Clock
 from cachesim.clock.state import BOX, CYCLES, HIT, LATE, MISS, TRIANGLE, Rows
 from cachesim.clock.stretches import Stretches
-from cachesim.clock.timing import Workshop, check
+from cachesim.clock.timing import Workshop, check, timed_policy
 from cachesim.config import CacheConfig
-from cachesim.prefetch import Prefetch, parse_prefetch
+from cachesim.prefetch import Prefetch
 from cachesim.source import RunSource
 from nptrace_base.jit import kernel
 
@@ -41,7 +41,7 @@ def cycles_by_pixel(
     NptraceError
         As ``timing.time_run``.
     """
-    prefetch = timed(parse_prefetch(prefetch) if isinstance(prefetch, str) else prefetch)
+    prefetch = timed_policy(prefetch)
     footer = source.run.footer
     rays = source.run.columns("rays", ["x", "y", "count"])
     reads = rays["count"] > 0
@@ -58,11 +58,6 @@ def cycles_by_pixel(
         counts = _counted(job, stretches, pixels, footer.width * footer.height, progress)
         n_entries *= 8
     return {CYCLES[cause]: counts[:, cause] for cause in SPENT}
-
-
-def timed(prefetch: Prefetch) -> Prefetch:
-    """Return the policy whose requests a clock times: for those of the trace, that of the unit which makes the same."""
-    return parse_prefetch("stack") if prefetch.kind == "traced" else prefetch
 
 
 def _counted(

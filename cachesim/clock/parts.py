@@ -14,10 +14,10 @@ import numpy as np
 from cachesim.clock.parameters import Clock
 from cachesim.clock.state import Rows
 from cachesim.clock.stretches import NOTHING, Stretches
-from cachesim.clock.timing import Job, Workshop, check
+from cachesim.clock.timing import Job, Workshop, check, timed_policy
 from cachesim.config import CacheConfig
 from cachesim.policies.machine import Tree
-from cachesim.prefetch import Prefetch, parse_prefetch
+from cachesim.prefetch import Prefetch
 from cachesim.sampling.two_phase import t_quantile
 from cachesim.source import RunSource
 from nptrace_base.errors import NptraceError
@@ -100,7 +100,7 @@ def time_part(
     source = RunSource(run)
     stream, workshop = read_stream(source, LEAST), Workshop(source, threads, is_whole=False)
     check(configs, clocks, stream.rows.waits_for.size)
-    policies = [parse_prefetch(name) for name in ("none", *prefetches)]
+    policies = [timed_policy(name) for name in ("none", *prefetches)]
     for prefetch in policies:
         if workshop.job(configs[0], clocks[0], prefetch, is_scout=True) is not None:
             raise NptraceError(f"{prefetch} goes through all rays twice, and a part has not all; time all of the run")

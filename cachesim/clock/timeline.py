@@ -7,7 +7,7 @@ from typing import Any
 from cachesim.clock.log import LOG_BOX, LOG_PREFETCH, LOG_READ, LOG_TRIANGLES
 from cachesim.clock.parameters import Clock
 from cachesim.clock.state import CYCLES
-from cachesim.clock.timing import Workshop
+from cachesim.clock.timing import Workshop, timed_policy
 from cachesim.config import CacheConfig
 from cachesim.prefetch import Prefetch
 from cachesim.source import RunSource, Source
@@ -22,7 +22,7 @@ _READS, _UNIT = 0, 1  # process numbers: what the rays do, and what the prefetch
 def write_timeline(source: Source, config: CacheConfig, clock: Clock, prefetch: Prefetch, path: Path) -> None:
     """Time a run once more and write ``N_EVENTS`` events from its middle, atomically."""
     assert isinstance(source, RunSource)
-    log = Workshop(source, threads=1).log(config, clock, prefetch, N_EVENTS)
+    log = Workshop(source, threads=1).log(config, clock, timed_policy(prefetch), N_EVENTS)
     text = json.dumps({"displayTimeUnit": "ns", "traceEvents": [*_names(clock.rays), *map(_event, log)]})
     with whole_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -192,8 +192,7 @@ def time_run(
         raise NptraceError(
             f"{source.identity.run} has addresses alone, and the clock needs leaves and rays; time the run itself"
         )
-    policies = [parse_prefetch(each) if isinstance(each, str) else each for each in prefetches]
-    policies = [parse_prefetch("stack") if each.kind == "traced" else each for each in policies]  # the same requests, timed
+    policies = [timed_policy(each) for each in prefetches]
     stretches = Stretches(source)
     check(configs, clocks, stretches.n_rays)
     workshop = Workshop(source, threads or os.cpu_count() or 1, progress, by)
@@ -225,6 +224,20 @@ def _time_together(
         else:
             results.append(_timing(workshop.source, config, clock, job, without))
     return results
+
+
+def timed_policy(prefetch: Prefetch | str) -> Prefetch:
+    """Return the policy that is timed: for traced requests the unit that makes them, since the clock decides when.
+
+    NptraceError for the option ``empty``: a leaf without triangles has no test during which the unit could request.
+    """
+    parsed = parse_prefetch(prefetch) if isinstance(prefetch, str) else prefetch
+    if parsed.options.get("empty"):
+        raise NptraceError(
+            f"{parsed}: on the clock a leaf without triangles takes no time in which the unit could request; leave empty out, "
+            "or use npcache replay"
+        )
+    return parse_prefetch("stack") if parsed.kind == "traced" else parsed
 
 
 def check(configs: Sequence[CacheConfig], clocks: Sequence[Clock], n_rays: int) -> None:

@@ -5,7 +5,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from cachesim.report.cases import Row, identity_of, shared_text, texts_of
+from cachesim.report.cases import Row, facts_of, identity_of, shared_text, texts_of
 from cachesim.report.pictures import COLOURS, drawn
 from cachesim.result import ratio
 from nptrace_base.errors import NptraceError
@@ -161,7 +161,8 @@ def short_number(value: float, _: object = None) -> str:
 def draw_speed_ups(rows: Sequence[Row], path: Path) -> None:
     """Draw the speed-ups of policies, machines and caches as bars, a panel for each run, the fastest last.
 
-    The policy ``perfect``, for which every read hits, is named in the title: its bar would dwarf the others.
+    The policy ``perfect``, for which every read hits, is named in the title if all bars share it: its bar would dwarf the
+    others.
     """
     identities = list(dict.fromkeys(identity_of(row) for row in rows))
     names = labels(identities)
@@ -182,13 +183,19 @@ def draw_speed_ups(rows: Sequence[Row], path: Path) -> None:
             axes.set_yticks(range(len(members)), [texts[id(row)] or row["prefetch"] for row in members], fontsize=7)
             axes.axvline(1, color="black", linewidth=0.8)
             bounds = [row["speed_up"] for row in of_run[identity] if row["prefetch"] == "perfect" and row["speed_up"]]
-            bound = f" (bound {max(bounds):.2f})" if bounds else ""
+            bound = f" (bound {max(bounds):.2f})" if bounds and _is_one_case(of_run[identity]) else ""
             axes.set_title(f"{names[identity]}{bound}")
             axes.margins(x=0.12, y=0.01)
         for axes in grid.flat[len(identities) :]:
             axes.remove()
         note = "; blue: policies, yellow: layouts and line sizes" if any(row.get("group") for row in rows) else ""
         figure.supxlabel(f"speed-up over no prefetching{note}", fontsize=9)
+
+
+def _is_one_case(rows: Sequence[Row]) -> bool:
+    """Whether all rows share a bound: they are of one cache on one machine, whatever the policy; baselines are none's own."""
+    of_cases = [facts_of(row) | {"prefetch": "", "group": ""} for row in rows if row.get("group") != "baseline"]
+    return all(each == of_cases[0] for each in of_cases)
 
 
 def _colour(row: Row) -> str:

@@ -10,7 +10,16 @@ from traces.identity import COLUMNS, RunIdentity, labels
 Row = Mapping[str, Any]
 
 #: The facts of a case besides its run, in the order in which a text names them.
-FACTS = ("cache", "lines", "policy", "layout", "prefetch", "group", "machine", *NUMBERS)
+FACTS = ("cache", "lines", "policy", "layout", "reads", "flush", "prefetch", "group", "machine", *NUMBERS)
+
+#: What a visit reads and when the caches are emptied, where nobody asks for anything else: rows of most commands lack them.
+USUAL = {"reads": "own", "flush": "never"}
+
+
+#: What the mark of a stand-in means, below a table of the paper's scenes.
+STAND_IN_NOTE = (
+    "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
+)
 
 
 def identity_of(row: Row) -> RunIdentity:
@@ -36,10 +45,11 @@ def facts_of(row: Row) -> dict[str, str]:
         seed = row.get("policy_seed")
         found["policy"] = row["policy"] + (f" seed {seed}" if seed else "")
     found |= {name: str(row[name]) for name in ("layout", "prefetch", "group") if row.get(name)}
+    found |= {name: f"{name} {row.get(name) or usual}" for name, usual in USUAL.items()}
     if row.get("clock"):
         found["machine"] = f"machine {row['clock'].partition(',')[0]}"  # what differs from it follows as numbers
         found |= {name: f"{name} {row[name]}" for name in NUMBERS if row.get(name) is not None}
-    return found
+    return {name: found[name] for name in FACTS if name in found}
 
 
 def texts_of(rows: Sequence[Row], without: Sequence[str] = (), *, is_spelled: bool = False) -> list[str]:
@@ -64,7 +74,8 @@ def shared_text(rows: Sequence[Row]) -> str:
     names = labels(identity_of(row) for row in rows)
     facts = [facts_of(row) for row in rows]
     of_all = {name: text for name, text in facts[0].items() if {each.get(name) for each in facts} == {text}}
-    texts = [spelled(name, text) for name, text in of_all.items() if name not in NUMBERS]
+    usual = [f"{name} {value}" for name, value in USUAL.items()]
+    texts = [spelled(name, text) for name, text in of_all.items() if name not in NUMBERS and text not in usual]
     return ", ".join([*(names.values() if len(names) == 1 else ()), *texts])
 
 

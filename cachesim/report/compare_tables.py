@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from cachesim.clock.compare import BOUND, REFERENCE, Compared
+from cachesim.prefetch import parse_prefetch
 from nptrace_base.tables import Table, number, percent
 from traces.identity import labels
 
@@ -26,7 +27,7 @@ def tables(rows: Sequence[Compared]) -> tuple[list[Table], list[str]]:
         made.append(_policies(f"{names[identity]}, {members[0].reference.config}: policies", members))
         if any(row.group == "baseline" for row in members):
             made.append(_baselines(f"{names[identity]}: no unit needed: longer lines, alignment, node order", members))
-        notes += _verdict(names[identity], members)
+        notes += verdict(names[identity], members)
     return made, notes
 
 
@@ -65,15 +66,25 @@ def _baselines(title: str, rows: Sequence[Compared]) -> Table:
     return Table(title, header, lines, n_left=2, extra=_EXTRA)
 
 
-def _verdict(name: str, rows: Sequence[Compared]) -> list[str]:
+def is_buildable(prefetch: str) -> bool:
+    """Whether hardware can do it: the bound and policies that know what a first pass has read cannot be built."""
+    parsed = parse_prefetch(prefetch)
+    is_asked_ahead = parsed.options.get("live", parsed.kind != "stack")  # of the paper's unit the option alone looks ahead
+    return not (parsed.policy.is_perfect or (parsed.policy.scout is not None and is_asked_ahead))
+
+
+def verdict(name: str, rows: Sequence[Compared]) -> list[str]:
     """Return what the comparison says, in sentences."""
     real = [row for row in rows if row.group == "policy" and row.timing.prefetch not in (BOUND, REFERENCE)]
     found = []
     unit = next((row for row in real if row.timing.prefetch == "stack:unlimited"), None)
-    buildable = [row for row in real if not row.timing.prefetch.startswith(("oracle", "stack:unlimited:live"))]
+    buildable = [row for row in real if is_buildable(row.timing.prefetch)]
     if buildable:
         best = min(buildable, key=lambda row: row.timing.cycles)
-        text = f"{name}: the best unit is {best.timing.prefetch} with {number(best.speed_up, 3)}x"
+        which, gain = best.timing.prefetch, f"{number(best.speed_up, 3)}x"
+        text = f"{name}: " + (
+            f"the best unit is {which} with {gain}" if _pays(best) else f"no unit pays: the best, {which}, gives {gain}"
+        )
         found.append(f"{text}, the paper's gives {number(unit.speed_up, 3)}x." if unit and unit is not best else f"{text}.")
     plain = [row for row in rows if row.group == "baseline" and row.timing.prefetch == "none"]
     if plain:
@@ -82,8 +93,14 @@ def _verdict(name: str, rows: Sequence[Compared]) -> list[str]:
         gains = ", ".join(
             f"{row.timing.prefetch} {number(best.timing.cycles / row.timing.cycles, 3)}x" for row in on_top if row is not best
         )
+        which = f"{best.timing.config} with the layout {best.timing.layout}"
+        start = which if _pays(best) else f"no line or layout pays: the best, {which},"
         found.append(
-            f"Without any unit, {best.timing.config} with the layout {best.timing.layout} gives {number(best.speed_up, 3)}x "
-            f"at {number(best.traffic_ratio, 2)} of the bytes; on top of it: {gains}."
+            f"Without any unit, {start} gives {number(best.speed_up, 3)}x at {number(best.traffic_ratio, 2)} of the bytes; on "
+            f"top of it: {gains}."
         )
     return found
+
+
+def _pays(row: Compared) -> bool:
+    return row.speed_up is not None and row.speed_up > 1

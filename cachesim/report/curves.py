@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cachesim.config import format_bytes
-from cachesim.report.cases import Row, facts_of, identity_of, ways_of
+from cachesim.report.cases import FACTS, Row, facts_of, identity_of, ways_of
 from cachesim.report.pictures import COLOURS, SEQUENTIAL, check_plot, drawn
 from cachesim.result import ratio
 from traces.identity import RunIdentity, labels
@@ -24,7 +24,7 @@ MOST_WAYS = 6
 #: Most lines of a panel.
 MOST_LINES = 16
 #: What a line may vary in; the order of the rays or the run, where a scene and tree has several runs.
-_DIMENSIONS = ("prefetch", "layout", "order", "run", "policy", "lines", "ways")
+_DIMENSIONS = ("prefetch", "layout", "reads", "flush", "order", "run", "policy", "lines", "ways")
 _ORDERED = ("ways", "lines")
 #: What gets panels of its own where there are too many lines, the first to go first.
 _CROWDING = ("ways", "lines", "policy")
@@ -75,7 +75,7 @@ def points_of(rows: Sequence[Row]) -> list[Point]:
     found: dict[tuple[Any, ...], Point] = {}
     for row in rows:
         identity = identity_of(row)
-        facts = {name: facts_of(row).get(name, "") for name in ("prefetch", "layout", "policy", "lines")}
+        facts = {name: facts_of(row).get(name, "") for name in _DIMENSIONS if name in FACTS}
         facts |= {"order": _order_of(identity) if told_by_order else "", "run": "" if told_by_order else names[identity]}
         facts["ways"] = ways_of(row)
         both = [(facts, row["demand_miss_rate"])]

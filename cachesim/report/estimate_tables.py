@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cachesim.config import format_bytes
+from cachesim.report.cases import STAND_IN_NOTE
 from cachesim.report.table1 import HIT_CYCLES, MISS_CYCLES, NAMES, PAPER_N, TREES, Key, acpr, paper_table
 from cachesim.report.table1_tables import ACPR_NOTE
 from cachesim.sampling.estimate import CONFIDENCE, OF_THE_RUN, QUANTITIES, Cell, Estimated
@@ -117,7 +118,8 @@ def table1_tables(results: Sequence[tuple[str, str, Estimated]]) -> tuple[list[T
         if lines:
             made.append(Table(title, header, lines, n_left=3, sections=sections, extra=_TABLE1_EXTRA))
     estimated = [result for _, _, result in results]
-    return [*made, _cost(estimated)], [*NOTES, ACPR_NOTE, *_reasons(estimated)]
+    stand_ins = [STAND_IN_NOTE] if any(result.identity.stand_in for result in estimated) else []
+    return [*made, _cost(estimated)], [*NOTES, ACPR_NOTE, *stand_ins, *_reasons(estimated)]
 
 
 def _table1_values(tree: str, cell: Cell) -> dict[str, Interval | None]:

@@ -1,11 +1,13 @@
 """The break-even map as a table, in sentences, and as a plot."""
 
 from collections.abc import Mapping, Sequence
+from math import isnan, nan
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from cachesim.clock.parts import PIECES
+from cachesim.report.cases import STAND_IN_NOTE
 from cachesim.report.pictures import drawn
 from nptrace_base.tables import Table, number
 
@@ -31,15 +33,27 @@ def tables(rows: Sequence[Row]) -> tuple[list[Table], list[str]]:
     for tree in _distinct(rows, "tree"):
         for prefetch in _distinct(rows, "prefetch"):
             for rays in _distinct(rows, "rays"):
-                values = speed_ups(rows, tree=tree, prefetch=prefetch, rays=rays)
-                if values:
-                    lines.append([tree, prefetch, str(rays), *_summary(values)])
+                cells = cells_of(rows, tree=tree, prefetch=prefetch, rays=rays)
+                if cells:
+                    lines.append([tree, prefetch, str(rays), *_summary(cells)])
             sections.add(len(lines) - 1)
     return [Table("", header, lines, n_left=2, sections=sections, extra=("cells", "least"))], [
         *NOTES,
+        *_stand_ins(rows),
         *_doubt(rows),
         *verdict(rows),
     ]
+
+
+def scene_of(row: Row) -> str:
+    """Return the scene's name, with ``(stand-in)`` when it is one."""
+    return f"{row['scene']}{' (stand-in)' if row.get('stand_in') else ''}"
+
+
+def _stand_ins(rows: Sequence[Row]) -> list[str]:
+    """Return the usual note on stand-ins, and which scenes of the map are some."""
+    found = dict.fromkeys(scene_of(row) for row in rows if row.get("stand_in"))
+    return [f"{STAND_IN_NOTE} In this map: {', '.join(found)}."] if found else []
 
 
 def _doubt(rows: Sequence[Row]) -> list[str]:
@@ -49,26 +63,51 @@ def _doubt(rows: Sequence[Row]) -> list[str]:
         return []
     return [
         f"from one in {rows[0]['parts']} of the {PIECES} pieces of the rays: a speed-up is within its half-width of that of "
-        f"all rays in 95 % of the cells; it is {number(median(widths), 3)} in the middle and {number(max(widths), 3)} at most."
+        f"all rays in 95 % of the cells; it is {number(median(widths), 3)} in the middle and {number(max(widths), 3)} at "
+        "most. A cell pays or costs only if all of its interval lies above 1.005 or below 0.995."
     ]
 
 
-def _summary(values: Sequence[float]) -> list[str]:
-    pays = sum(value > 1 + NO_DIFFERENCE for value in values)
-    costs = sum(value < 1 - NO_DIFFERENCE for value in values)
+def _summary(cells: Sequence[Row]) -> list[str]:
+    values = [row["speed_up"] for row in cells]
     return [
-        number(median(values), 3), number(min(values), 3), number(max(values), 3), number(100 * pays / len(values)),
-        number(100 * costs / len(values)), number(len(values)),
+        number(median(values), 3), number(min(values), 3), number(max(values), 3),
+        number(100 * sum(map(pays, cells)) / len(cells)), number(100 * sum(map(costs, cells)) / len(cells)),
+        number(len(cells)),
     ]  # fmt: skip
+
+
+def _half(row: Row) -> float:
+    return float(row.get("speed_up_half_width") or 0)
+
+
+def least(row: Row) -> float:
+    """Return the lower end of a cell's interval, which is the speed-up itself where all rays were timed."""
+    return float(row["speed_up"]) - _half(row)
+
+
+def most(row: Row) -> float:
+    """Return the upper end of a cell's interval."""
+    return float(row["speed_up"]) + _half(row)
+
+
+def pays(row: Row) -> bool:
+    """Whether prefetching makes a cell faster, beyond doubt."""
+    return least(row) > 1 + NO_DIFFERENCE
+
+
+def costs(row: Row) -> bool:
+    """Whether prefetching makes a cell slower, beyond doubt."""
+    return most(row) < 1 - NO_DIFFERENCE
 
 
 def _distinct(rows: Sequence[Row], name: str) -> list[Any]:
     return list(dict.fromkeys(row[name] for row in rows))
 
 
-def speed_ups(rows: Sequence[Row], **wanted: Any) -> list[float]:
-    """Return the speed-ups of the cells that have these values."""
-    return [row["speed_up"] for row in rows if row["speed_up"] and all(row[name] == value for name, value in wanted.items())]
+def cells_of(rows: Sequence[Row], **wanted: Any) -> list[Row]:
+    """Return the cells that have these values, and a speed-up."""
+    return [row for row in rows if row["speed_up"] and all(row[name] == value for name, value in wanted.items())]
 
 
 def verdict(rows: Sequence[Row]) -> list[str]:
@@ -76,22 +115,32 @@ def verdict(rows: Sequence[Row]) -> list[str]:
     found = []
     for tree in _distinct(rows, "tree"):
         for prefetch in _distinct(rows, "prefetch"):
-            cells = [row for row in rows if row["tree"] == tree and row["prefetch"] == prefetch and row["speed_up"]]
+            cells = cells_of(rows, tree=tree, prefetch=prefetch)
             if not cells:
                 continue
-            best, worst = max(cells, key=lambda row: row["speed_up"]), min(cells, key=lambda row: row["speed_up"])
+            best, worst = max(cells, key=least), min(cells, key=most)
             middle = median(row["speed_up"] for row in cells)
             text = f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)} gives {middle:.3f}x in the middle, "
-            text += f"{best['speed_up']:.2f}x at best ({_where(best)})"
-            if worst["speed_up"] < 1 - NO_DIFFERENCE:
+            text += f"{_speed_up(best)} at best ({_where(best)})" if pays(best) else "and pays in no cell"
+            if costs(worst):
                 text += f", and costs up to {100 * (1 / worst['speed_up'] - 1):.1f} % more cycles ({_where(worst)})"
             found.append(text + ".")
     return found
 
 
+def _speed_up(row: Row) -> str:
+    half = f" +- {_half(row):.2f}" if _half(row) else ""
+    return f"{row['speed_up']:.2f}{half}x"
+
+
 def _where(row: Row) -> str:
     cache = f"{row['size_bytes'] // 1024}K {row['ways']}-way"
-    return f"{row['scene']}, leaf {row['leaf']}, {cache}, triangle {row['triangle']}, miss {row['miss']}, rays {row['rays']}"
+    return f"{scene_of(row)}, leaf {row['leaf']}, {cache}, triangle {row['triangle']}, miss {row['miss']}, rays {row['rays']}"
+
+
+def _middle(rows: Sequence[Row], **wanted: Any) -> float:
+    """Return the median speed-up of the cells that have these values; NaN, which is drawn as nothing, if none has one."""
+    return median([row["speed_up"] for row in cells_of(rows, **wanted)] or [nan])
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
@@ -109,7 +158,7 @@ def plot(rows: Sequence[Row], path: Path) -> None:
             for prefetch, panel in zip(policies, panel_row, strict=True):
                 cells = [
                     [
-                        median(speed_ups(rows, tree=tree, prefetch=prefetch, rays=k, miss=miss, leaf=leaf, triangle=test))
+                        _middle(rows, tree=tree, prefetch=prefetch, rays=k, miss=miss, leaf=leaf, triangle=test)
                         for k, miss in across
                     ]
                     for leaf, test in down
@@ -117,11 +166,12 @@ def plot(rows: Sequence[Row], path: Path) -> None:
                 image = panel.imshow(cells, cmap="RdBu", norm=norm, aspect="auto")
                 for y, line in enumerate(cells):
                     for x, value in enumerate(line):
-                        panel.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=4.5)
+                        panel.text(x, y, "-" if isnan(value) else f"{value:.2f}", ha="center", va="center", fontsize=4.5)
                 panel.set_title(f"{TREES.get(tree, tree)}: {TITLES.get(prefetch, prefetch)}", fontsize=8)
                 panel.set_xticks(range(len(across)), [f"{rays} x {miss}" for rays, miss in across], rotation=90, fontsize=6)
                 panel.set_yticks(range(len(down)), [f"{leaf}, {triangle}" for leaf, triangle in down], fontsize=6)
-        figure.supxlabel("rays in flight x miss latency (cycles)", fontsize=8)
+        scenes = ", ".join(dict.fromkeys(map(scene_of, rows)))
+        figure.supxlabel(f"rays in flight x miss latency (cycles)\nscenes: {scenes}", fontsize=8)
         figure.supylabel("triangles per leaf, cycles per triangle test", fontsize=8)
         assert image is not None
         figure.colorbar(image, ax=panels, label="median speed-up over scenes and caches", shrink=0.6)

@@ -41,6 +41,7 @@ def _curves() -> dict[str, Any]:
     hover = _hover(
         ("size_bytes", "size", ",d"),
         ("ways", "ways", "d"),
+        ("line_bytes", "line (bytes)", "d"),
         ("prefetching", "prefetching", ""),
         ("rate", "demand miss rate", ".2%"),
     )
@@ -49,8 +50,10 @@ def _curves() -> dict[str, Any]:
             {"calculate": "datum.demand_miss_rate", "as": "with"},
             {"calculate": "datum.demand_miss_rate_without", "as": "without"},
             {"fold": ["without", "with"], "as": ["prefetching", "rate"]},
+            {"calculate": "datum.ways + '-way, lines of ' + datum.line_bytes + ' B'", "as": "panel"},
+            {"calculate": "datum.line_bytes * 1048576 + datum.ways", "as": "place"},
         ],
-        "facet": {"field": "ways", "type": "ordinal", "title": "ways of the cache"},
+        "facet": {"field": "panel", "type": "nominal", "title": None, "sort": {"field": "place", "op": "min"}},
         "columns": 2,
         "spec": {
             "height": 210,
@@ -64,13 +67,14 @@ def _curves() -> dict[str, Any]:
                     "scale": {"domain": ["with", "without"], "range": [[1, 0], [5, 4]]},
                     "legend": None,
                 },
-                "detail": [{"field": "layout"}, {"field": "prefetch"}, {"field": "line_bytes"}],
+                "detail": [{"field": "layout"}, {"field": "prefetch"}],
                 "tooltip": hover,
             },
         },
     }  # fmt: skip
     alt = (
-        "Lines: demand miss rate over cache size, solid with and dashed without prefetching, a panel for each number of ways."
+        "Lines: demand miss rate over cache size, solid with and dashed without prefetching, a panel for each number of ways "
+        "and size of a line."
     )
     return _chart("curves", "sweep", "Miss-rate curves; dashed: without prefetching", alt, spec, 2)
 

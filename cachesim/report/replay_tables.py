@@ -67,14 +67,28 @@ def verdict(results: Sequence[Result]) -> list[str]:
         p = [each.prefetch_accesses / each.demand_accesses for each in members]
         traffic = [each.bytes_from_memory / (each.demand_misses_without * each.config.line_bytes) for each in members]
         demand = _changes([each.demand_misses / each.demand_misses_without for each in members])
-        paper = _changes([ratio / (1 + extra) for ratio, extra in zip(traffic, p, strict=True)])
+        paper = [ratio / (1 + extra) for ratio, extra in zip(traffic, p, strict=True)]
         alone = span([100 / (1 + extra) for extra in p])
+        because, lower, end = _WHY[direction([ratio - 1 for ratio in paper])]
         found.append(
             f"{policy}, with prefetching (B) against without (A): demand misses change by {demand} %, bytes from memory by "
-            f"{_changes(traffic)} %. The paper's miss rate changes by {paper} %, because p = {span(p, 3)} prefetches per "
-            f"demand access count as accesses: they alone lower it to 1 / (1 + p) of A, {alone} %."
+            f"{_changes(traffic)} %. The paper's miss rate changes by {_changes(paper)} %, {because} p = {span(p, 3)} "
+            f"prefetches per demand access count as accesses{lower} to 1 / (1 + p) of A, {alone} %{end}."
         )
     return found
+
+
+#: What stands before p, between it and 1 / (1 + p), and after that, by where the paper's miss rate goes.
+_WHY = {
+    "down": ("because", ": they alone lower it", ""),
+    "up": ("although", ", which alone lowers it", ": the lines filled rise by more"),
+    "both": ("since", ", which alone lowers it", ", and the lines filled rise by less or by more"),
+}
+
+
+def direction(changes: Sequence[float]) -> str:
+    """Return where all of some changes go: ``"down"``, ``"up"``, or ``"both"`` if they do not agree or one is none."""
+    return "down" if max(changes) < 0 else "up" if min(changes) > 0 else "both"
 
 
 def _changes(ratios: Sequence[float]) -> str:

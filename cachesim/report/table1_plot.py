@@ -1,11 +1,11 @@
-"""Rows of ``npcache table1`` as a plot: ours beside the paper's, cache by cache."""
+"""Rows of ``npcache table1`` as a plot: ours beside the paper's, cache by cache; several tables are told apart."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from cachesim.config import format_bytes
-from cachesim.report.cases import Row
+from cachesim.report.cases import Row, texts_of
 from cachesim.report.pictures import COLOURS, drawn
 from cachesim.report.table1 import TREES
 
@@ -32,21 +32,38 @@ def draw_table1(rows: Sequence[Row], path: Path) -> None:
     with drawn(path, 2 * wide + 0.3, 2.9 * len(trees) + 0.7) as figure:
         grid = figure.subplots(len(trees), 2, squeeze=False, sharex="row", sharey="col")
         for tree, panels in zip(trees, grid, strict=True):
-            members = [row for row in rows if row["tree"] == tree]
+            members = _by_scene([row for row in rows if row["tree"] == tree])
+            names = _ticks(members)
             for axes, (title, series) in zip(panels, PANELS, strict=True):
                 for name, (column, style) in series.items():
                     shown = [(i, 100 * row[column]) for i, row in enumerate(members) if row[column] is not None]
                     axes.plot(*zip(*shown, strict=True), linestyle="none", label=name, **({"markersize": 5} | style))
                 axes.set_title(f"{TREES[tree]}: {title}")
                 axes.grid(axis="y", color="0.9", linewidth=0.6)
-                caches = [f"{format_bytes(row['size_bytes'])}({row['ways']})" for row in members]
-                axes.set_xticks(range(len(members)), caches, rotation=90)
+                axes.set_xticks(range(len(members)), names, rotation=90)
                 _name_scenes(axes, members)
             panels[1].axhline(100, color="0.4", linewidth=0.8, zorder=0)
         grid[0, 0].set_ylim(bottom=0)
         for axes, column in zip(grid[0], (0, 1), strict=True):
             handles, names = axes.get_legend_handles_labels()
             figure.legend(handles, names, loc="outside lower " + ("left", "right")[column], ncols=2, frameon=False)
+
+
+def _by_scene(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of each scene side by side, the scenes in the order in which they come first."""
+    scenes = list(dict.fromkeys((row["scene"], bool(row["stand_in"])) for row in rows))
+    return sorted(rows, key=lambda row: scenes.index((row["scene"], bool(row["stand_in"]))))
+
+
+def _ticks(rows: Sequence[Row]) -> list[str]:
+    """Return what stands below each row: its cache, and what tells it from other rows of its scene, as a policy or a run."""
+    found = [f"{format_bytes(row['size_bytes'])}({row['ways']})" for row in rows]
+    for scene in dict.fromkeys((row["scene"], bool(row["stand_in"])) for row in rows):
+        places = [i for i, row in enumerate(rows) if (row["scene"], bool(row["stand_in"])) == scene]
+        texts = texts_of([rows[i] for i in places], without=("cache", "lines"))
+        for i, text in zip(places, texts, strict=True):
+            found[i] += f" {text}" if text else ""
+    return found
 
 
 def _name_scenes(axes: Any, members: Sequence[Row]) -> None:

@@ -6,6 +6,8 @@ from itertools import pairwise
 from cachesim.clock.parameters import Clock
 from cachesim.clock.timing import Timing
 from cachesim.config import format_bytes
+from cachesim.report.cases import STAND_IN_NOTE
+from cachesim.report.replay_tables import direction
 from cachesim.report.table1 import NAMES, PAPER_N, TREES, Equation, Table1Row
 from nptrace_base.tables import Table, number, span
 
@@ -42,17 +44,32 @@ def tables(rows: Sequence[Table1Row]) -> list[Table]:
     return [table for table in made if table.rows] + [_acpr_table(rows)] + ([_time_table(times)] if times else [])
 
 
-def notes(rows: Sequence[Table1Row]) -> list[str]:
-    """Return the notes below the tables."""
-    stand_ins = [] if not any(row.is_stand_in for row in rows) else [
-        "(stand-in): a procedural scene of the same kind and triangle count, not the paper's; its numbers are not comparable."
+def notes(rows: Sequence[Table1Row], of_runs: Sequence[str] = ()) -> list[str]:
+    """Return the notes below the tables; ``of_runs`` are those on which runs they are of."""
+    stand_ins = [STAND_IN_NOTE] if any(row.is_stand_in for row in rows) else []
+    return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *of_runs, *_asked(rows), *verdict(rows)]
+
+
+def _asked(rows: Sequence[Table1Row]) -> list[str]:
+    """Return what was asked for and is not as usual: in one sentence if it is the same for all trees, or tree by tree."""
+    settings = {title: _settings([row for row in rows if row.tree == tree]) for tree, title in TREES.items()}
+    settings = {title: of for title, of in settings.items() if of}
+    beside = "the paper's, whose caches are LRU, are what they are."
+    if len(set(settings.values())) == 1:
+        of = next(iter(settings.values()))
+        return [f"Ours with {of}; {beside}"] if of != _USUAL else []
+    return [f"{title}: ours with {of}; {beside}" for title, of in settings.items() if of != _USUAL]
+
+
+_USUAL = "lru replacement and the layout stored"
+
+
+def _settings(rows: Sequence[Table1Row]) -> str:
+    texts = [
+        f"{row.policy} replacement and the layout {row.layout}" + (f", reads {row.reads}" if row.reads != "own" else "")
+        for row in rows
     ]  # fmt: skip
-    asked = {(row.policy, row.layout) for row in rows} - {("lru", "stored")}
-    other = [
-        f"Ours with {policy} replacement and the layout {layout}; the paper's, whose caches are LRU, are what they are."
-        for policy, layout in asked if len(asked) == 1
-    ]  # fmt: skip
-    return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *other, *verdict(rows)]
+    return ", or ".join(dict.fromkeys(texts))
 
 
 def _acpr_note(rows: Sequence[Table1Row]) -> str:
@@ -134,15 +151,30 @@ def verdict(rows: Sequence[Table1Row]) -> list[str]:
     found = []
     for tree, title in TREES.items():
         members = [row for row in rows if row.tree == tree]
-        if members:
-            paper, demand = (_fall([row.ours[name] for row in members]) for name in ("miss_ratio", "demand_ratio"))
+        if not members:
+            continue
+        paper, demand = (_changes([row.ours[name] for row in members]) for name in ("miss_ratio", "demand_ratio"))
+        if not any(row.ours["prefetches"] for row in members):
+            found.append(f"{title}: nothing is prefetched, so that A and B are the same.")
+        elif not paper or not demand:
+            found.append(f"{title}: nothing misses without prefetching, so that B/A has no value.")
+        else:
             times = [100 / row.timing.speed_up - 100 for row in members if row.timing and row.timing.speed_up]
             found.append(
-                f"{title}: the paper's miss rate changes by {paper} %, because its prefetches count as accesses; demand "
-                f"misses change by {demand} %" + (f"; the time of a ray by {span(times, sign=True)} %." if times else ".")
+                f"{title}: the paper's miss rate changes by {span(paper, sign=True)} %, {_WHY[direction(paper)]}; demand "
+                f"misses change by {span(demand, sign=True)} %"
+                + (f"; the time of a ray by {span(times, sign=True)} %." if times else ".")
             )
     return found
 
 
-def _fall(ratios: Sequence[float | None]) -> str:
-    return span([value - 100 for value in ratios if value is not None], sign=True)
+#: Why the paper's miss rate changes: B/A is that of the lines filled, over that of the accesses.
+_WHY = {
+    "down": "because its prefetches count as accesses",
+    "up": "although its prefetches count as accesses, since the lines filled rise by more",
+    "both": "since its prefetches count as accesses, and the lines filled rise by less or by more",
+}
+
+
+def _changes(ratios: Sequence[float | None]) -> list[float]:
+    return [value - 100 for value in ratios if value is not None]

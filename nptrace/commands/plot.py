@@ -92,6 +92,11 @@ def plot(
         kind = kind or "distances"
         if kind not in OF_RUNS:
             raise BadInput(f"--kind {kind} needs results, of npcache {_WRITTEN_BY[kind]} -o FILE; name that file")
+        caches = [name for name in given if name in ("--size", "--assoc")]
+        if kind == "distances" and caches:
+            raise BadInput(
+                f"--kind distances shows caches of every size; leave out {' and '.join(caches)}, or name another kind"
+            )
         usual = _USUAL[kind]
         size = size or [each for text in usual[0].split(",") for each in _sizes(text)]
         cases = Cases(size, assoc or usual[1].split(","), line or [32], prefetch or ["traced"], layout or ["stored"])

@@ -164,7 +164,7 @@ def gathered(case: Case, bar: Progress) -> "Report":
     notes = {
         "replay": [note for note in replay_tables.tables(replayed)[1] if note not in verdicts], "sweep": replay_tables.RATES,
         "levels": (), "compare": compare_tables.NOTES,
-        "table1": [note for note in table1_tables.notes(paper) if note not in verdicts] if paper else (),
+        "table1": [note for note in studies.table1_notes(paper) if note not in verdicts] if paper else (),
     }  # fmt: skip
     heat, distances = _by_run(case, bar)
     return Report(

@@ -8,7 +8,7 @@ import click
 
 from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.groups import BadInput
-from nptrace.options import gathered, threads_option, workers_options
+from nptrace.options import gathered, given, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
@@ -81,35 +81,44 @@ def table1(
     from cachesim.layout import parse_layout
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables
-    from nptrace.studies import table1_rows, table1_runs
+    from nptrace.studies import table1_notes, table1_rows, table1_runs
     from nptrace_base.engines import engine_of
     from traces.reader import open_run
 
     parse_layout(layout)
     numbers = equation.equation()
     if preset is not None:
-        if sources or error or workers or scheduler or (policy, layout) != ("lru", "stored"):
-            raise BadInput(
-                f"--preset {preset} has its own pictures, caches and layouts; leave out RUN, --target-error, --policy, "
-                "--layout, --workers and --scheduler"
-            )
+        others = given(
+            "sources", "folder", "error", "pixels", "seed", "policy", "layout", "workers", "scheduler"
+        )  # fmt: skip
+        if others:
+            raise BadInput(f"--preset {preset} has its own pictures, caches and layouts; leave out {_and(others)}")
         table1_of_preset(preset, numbers, threads, output)
         return
     if error is not None:
-        if equation != Acpr():
-            raise BadInput("--target-error has the paper's equation; leave out --n, --hit and --miss, or give runs")
-        if workers or scheduler:
-            raise BadInput("--target-error has threads alone; leave out --workers and --scheduler, or give runs")
+        if runs := given("sources", "folder"):
+            raise BadInput(f"--target-error traces the four scenes itself; leave out {_and(runs)}, or --target-error")
+        if others := given("n", "hit", "miss"):
+            raise BadInput(f"--target-error has the paper's equation; leave out {_and(others)}, or give runs")
+        if others := given("workers", "scheduler"):
+            raise BadInput(f"--target-error has threads alone; leave out {_and(others)}, or give runs")
         estimated_table1(Sampling(error, threads=threads), Picture(pixels=pixels, seed=seed), policy, layout, output)
         return
+    if others := given("pixels", "seed"):
+        raise BadInput(f"runs have their own pictures; leave out {_and(others)}, or estimate the table with --target-error")
     chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
     began = time.perf_counter()
     with engine_of(workers, scheduler) as engine, Progress() as bar:
         rows = table1_rows(chosen, bar, policy=policy, layout=layout, equation=numbers, threads=threads, engine=engine)
     for tree, scene in table.missing(chosen):
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
-    output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_tables.notes(rows)))
+    output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
     done(f"{len(chosen)} runs, {len(rows)} caches", began, f"npcache compare {again(sources, folder)}".rstrip())
+
+
+def _and(options: list[str]) -> str:
+    """Return options as a part of a sentence."""
+    return " and ".join(filter(None, [", ".join(options[:-1]), options[-1]]))
 
 
 def table1_of_preset(name: str, equation: "Equation", threads: int, output: Output) -> None:

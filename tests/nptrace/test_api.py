@@ -111,6 +111,9 @@ def test_estimate_is_the_command(folder):
     assert without_times(results) == without_times(printed(*args.split()))
     assert [cell["size_bytes"] for cell in results[0]["cells"]] == [1024, 2048]
     of_table1 = nt.estimate("blob", accel="bvh", pixels="32x32", is_table1=True)
+    for name, value in (("size", "16K"), ("ways", 2), ("line", 64)):
+        with pytest.raises(nt.NptraceError, match=f"{name}: is_table1 has the caches of Table I; leave out one of both"):
+            nt.estimate("blob", is_table1=True, **{name: value})
     assert len(of_table1[0]["cells"]) == 4
 
 

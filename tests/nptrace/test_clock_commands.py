@@ -117,6 +117,25 @@ def test_a_timeline_lies_within_the_run(folder):
     assert json.loads(run(cli.npcache, *one, "-").stdout)["traceEvents"] == events  # and no table
 
 
+def test_traced_requests_are_timed_as_those_of_the_unit(folder):
+    """The timeline, and the map of a part, ended in an AssertionError after all the timing."""
+    one = ["time", *RUN, "--timeline"]
+    assert rows_of(cli.npcache, *one, "a.json", "--prefetch", "traced") == rows_of(cli.npcache, *one, "b.json")
+    assert (folder / "a.json").read_bytes() == (folder / "b.json").read_bytes()
+    assert [str(timing.timed_policy(each)) for each in ("traced", "push")] == ["stack:unlimited", "push"]
+
+
+def test_an_option_that_means_nothing_on_the_clock_is_refused():
+    """A leaf without triangles takes no time there: stack:empty was timed as stack."""
+    for command in ("time", "compare"):
+        said = run(cli.npcache, command, *RUN, "--prefetch", "stack:empty", code=2).stderr
+        assert said.splitlines()[-1] == (
+            "Error: stack:unlimited:empty: on the clock a leaf without triangles takes no time in which the unit could "
+            "request; leave empty out, or use npcache replay"
+        )
+    assert run(cli.npcache, "replay", *RUN, "--prefetch", "stack:empty")
+
+
 def test_a_comparison_is_drawn(folder):
     args = ["compare", *RUN, "--no-baselines", "--prefetch", "stack,push", "--plot"]
     run(cli.npcache, *args, "c.png")

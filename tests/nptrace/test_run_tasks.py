@@ -52,4 +52,4 @@ def test_processes_find_the_runs(folder):
 def test_an_estimated_table_has_no_workers(folder):
     done = CliRunner().invoke(cli.npcache, ["table1", "--target-error", "5%", "--workers", "2"])
     assert done.exit_code == 2
-    assert "--target-error has threads alone; leave out --workers and --scheduler, or give runs" in done.stderr
+    assert "--target-error has threads alone; leave out --workers, or give runs" in done.stderr

@@ -95,6 +95,18 @@ def test_speed_ups_without_the_bound(run, figures, tmp_path):
     assert axes.get_title() == f"bunny-bvh (stand-in) (bound {rows[1]['speed_up']:.2f})"
 
 
+def test_a_bound_is_named_only_where_all_bars_share_it(figures, tmp_path):
+    """The largest of several machines stood in the title."""
+    of_one = [row(prefetch=each, speed_up=s, group="policy") for each, s in (("none", 1.0), ("push", 1.2), ("perfect", 3.0))]
+    baseline = row(prefetch="none", speed_up=1.1, group="baseline", line_bytes=64, layout="veb")
+    cases = [{}, {"ways": 2}, {"clock": "paper", "rays": 4}, {"layout": "veb"}]
+    for i, changes in enumerate(cases):
+        others = [each | changes | ({"speed_up": 9.4} if each["prefetch"] == "perfect" else {}) for each in of_one]
+        draw_speed_ups([*of_one, baseline, *(others if changes else [])], tmp_path / "x.png")
+        [axes] = figures[i].axes
+        assert axes.get_title() == ("bunny-bvh" if changes else "bunny-bvh (bound 3.00)")
+
+
 def test_table_1_has_both_numbers(figures, tmp_path):
     names = ("demand_miss_rate_without", "paper_ratio", "demand_ratio", "traffic_ratio")
     values = dict.fromkeys(names, 0.25) | {f"{name}_paper": 0.5 for name in names}
@@ -110,12 +122,37 @@ def test_table_1_has_both_numbers(figures, tmp_path):
     assert len(figures[0].axes[1].lines[1].get_ydata()) == 3  # a rate without a value has no point
 
 
+def test_two_tables_1_are_told_apart(figures, tmp_path):
+    """They stood side by side as equal caches."""
+    names = ("demand_miss_rate_without", "paper_ratio", "demand_ratio", "traffic_ratio")
+    values = dict.fromkeys(names, 0.25) | {f"{name}_paper": 0.5 for name in names}
+    tables = [
+        {"policy": "lru"},
+        {"policy": "fifo"},
+        {"policy": "lru", "run": "bunny-bvh-512x512", "width": 512, "height": 512},
+    ]
+    rows = [
+        row(run=f"{scene}-bvh", scene=scene, ways=ways) | values | (of if scene == "bunny" else {"policy": of["policy"]})
+        for of in tables for scene in ("bunny", "room") for ways in (1, 2)
+    ]  # fmt: skip
+    draw_table1(rows[:8], tmp_path / "x.png")
+    draw_table1(rows, tmp_path / "x.png")
+    ticks = [[text.get_text() for text in figure.axes[0].get_xticklabels()] for figure in figures]
+    assert ticks[0] == [f"1K({ways}) {policy}" for _ in "ab" for policy in ("lru", "fifo") for ways in (1, 2)]
+    assert ticks[1][:6:2] == ["1K(1) bunny-bvh (8x8), lru", "1K(1) bunny-bvh (8x8), fifo", "1K(1) bunny-bvh-512x512, lru"]
+    draw_table1(rows[:4], tmp_path / "x.png")
+    assert [text.get_text() for text in figures[2].axes[0].get_xticklabels()] == ["1K(1)", "1K(2)"] * 2
+
+
 def test_texts_tell_all_cases_apart_and_nothing_else():
     rows = [row(prefetch=prefetch, layout=layout, policy="random", policy_seed=seed) for prefetch in ("none", "stack")
             for layout in ("stored", "bfs") for seed in (0, 1)]  # fmt: skip
     assert len(set(texts_of(rows))) == len(rows)
     assert texts_of(rows)[1] == "random seed 1, stored, none" and texts_of(rows[:1]) == [""]
     assert shared_text(rows) == "bunny-bvh, 1K 1-way, 32 B lines"
+    of_reads = [row(), row(reads="children", flush="never"), row(reads="own", flush="ray")]
+    assert texts_of(of_reads) == ["reads own, flush never", "reads children, flush never", "reads own, flush ray"]
+    assert shared_text(of_reads[1:2]) == "bunny-bvh, 1K 1-way, 32 B lines, lru, layout stored, reads children, prefetch none"
     assert facts_of(row(ways=32, line_bytes=32))["cache"] == "1K full"
 
 

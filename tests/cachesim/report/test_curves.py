@@ -84,6 +84,17 @@ def test_layouts_policies_and_orders_are_lines_of_one_panel():
     ]
 
 
+def test_what_a_visit_reads_and_emptied_caches_are_lines_of_their_own():
+    """One of the three rows was kept."""
+    rows = [row(), row(reads="own", flush="never", size_bytes=2048), row(reads="children", flush="never", demand_misses=20)]
+    found, channels = lines([*rows, row(reads="own", flush="ray", demand_misses=30)])
+    assert channels == {"reads": "colour", "flush": "marker"}
+    assert [(line.facts["reads"], line.facts["flush"], line.rates) for line in found] == [
+        ("reads own", "flush never", [0.1, 0.1]), ("reads children", "flush never", [0.2]),
+        ("reads own", "flush ray", [0.3]),
+    ]  # fmt: skip
+
+
 def test_runs_of_one_name_are_two_lines():
     found, _ = lines([row(path="a/x", run="x", scene="bunny"), row(path="b/x", run="x", scene="room", demand_misses=20)])
     assert [(line.panel, line.rates) for line in found] == [(("a/x (bunny)",), [0.1]), (("b/x (room)",), [0.2])]
