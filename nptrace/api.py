@@ -127,11 +127,12 @@ def render(
         shooting = own_rays(Path(rays), picture, [*cameras, *([light] if light else [])])
     params = tree_params(trees, kd, bvh, sizes)
     seen = load_scenes([str(each) if isinstance(each, Path) else each for each in scenes], strict, offline, cameras, light)
+    folder = place(out)
     with engine_of(workers, scheduler) as engine, Progress(len(seen) * len(params)) as bar:
         made = rendered(
-            seen, params, shooting, place(out), bar, names=names, overwrite=overwrite, threads=threads, engine=engine
+            seen, params, shooting, folder, bar, names=names, overwrite=overwrite, threads=threads, engine=engine
         )  # fmt: skip
-    runs = [open_run(str(each.identity.path)) for each in made]
+    runs = [open_run(folder / each.identity.run) for each in made]  # whose path is for printing alone
     is_single = len(runs) == 1 and isinstance(accel, str) and (camera is None or isinstance(camera, str))
     return runs[0] if is_single else runs
 

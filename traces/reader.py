@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from nptrace_base.places import Place, Remote, opened, place, sizes
 from traces.footer import Footer, parse_footer
 from traces.format import FILES, METADATA_KEY, RunError
-from traces.manifest import MANIFEST, FileFacts, Manifest, check_there, parse_manifest, verified
+from traces.manifest import MANIFEST, FileFacts, Manifest, check_there, is_of_run, parse_manifest, verified
 from traces.run import FIELDS, SCHEMAS, UNREADABLE, PartFiles, RunFiles, damaged
 from traces.run import Run as Run
 from traces.validation import is_convertible
@@ -191,7 +191,6 @@ def find_runs(folder: Place | str) -> list[Place]:
 
 def holds_run(folder: Place) -> bool:
     """Return whether a folder is that of a run, whole or damaged, and not one that holds runs."""
-    names = (MANIFEST, *FILES)
-    if isinstance(folder, Remote):
-        return not sizes(folder).keys().isdisjoint(names)
-    return any((folder / name).exists() for name in names)
+    names = sizes(folder).keys()
+    tables = {name for name in names if name.endswith(".parquet") and is_of_run(name)}  # a picture proves nothing
+    return not tables.isdisjoint(FILES) or (MANIFEST in names and bool(tables))

@@ -177,9 +177,14 @@ class RunWriter:
             raise RunError(f"cannot write {self.path}: {e.strerror}; choose another --out") from e
         schemas = {"accesses": ACCESSES, "rays": RAYS, "nodes": node_schema(self._footer, self._node_fields)}
         self._tables: dict[str, TableWriter] = {}
-        for name, schema in schemas.items():
-            path = self._temp / f"{name}.parquet"
-            self._tables[name] = TableWriter(pa.OSFile(os.fsencode(path), "wb"), schema)  # it takes no str that is not UTF-8
+        try:
+            for name, schema in schemas.items():
+                path = self._temp / f"{name}.parquet"
+                file = pa.OSFile(os.fsencode(path), "wb")  # it takes no str that is not UTF-8
+                self._tables[name] = TableWriter(file, schema)
+        except BaseException as e:  # too many open files, no space
+            self.__exit__(type(e), e, e.__traceback__)
+            raise
         return self
 
     def append(self, table: str, columns: Rows) -> None:

@@ -101,7 +101,12 @@ def _store(path: Path, tree: Tree) -> None:
 
 
 def _forget_oldest(folder: Path) -> None:
-    files = sorted((p.stat().st_mtime, p.stat().st_size, p) for p in folder.glob("*.npz"))
+    files = []
+    for path in folder.glob("[!.]*.npz"):  # the others are being written
+        with suppress(FileNotFoundError):  # another process has just deleted this one
+            facts = path.stat()
+            files.append((facts.st_mtime, facts.st_size, path))
+    files.sort()
     total = sum(size for _, size, _ in files)
     most = SHARE * (shutil.disk_usage(folder).free + total)
     for _, size, path in files[:-1]:

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -243,3 +244,11 @@ def test_the_notebook_runs_and_is_short(folder):
     scope: dict = {}
     exec(compile(text, "notebook.py", "exec"), scope)
     assert len(scope["runs"]) == 4 and len(scope["replayed"]) == 4 * 2 * 5 * 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere names are Unicode")
+def test_a_folder_whose_name_is_not_utf_8(tmp_path):
+    out = tmp_path / os.fsdecode(b"caf\xe9")
+    run = nt.render("blob", accel="bvh", pixels="8x8", out=out)
+    assert run.path.parent == out
+    assert run.n_accesses > 0

@@ -117,6 +117,21 @@ def test_a_full_disk_gives_a_message_and_leaves_nothing(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
+def test_a_file_that_cannot_be_opened_gives_a_message_and_leaves_nothing(tmp_path, monkeypatch):
+    real, n = writer.pa.OSFile, []
+
+    def open_file(*args):
+        n.append(1)
+        if len(n) == 2:
+            raise OSError(24, "Too many open files")
+        return real(*args)
+
+    monkeypatch.setattr(writer.pa, "OSFile", open_file)
+    with pytest.raises(RunError, match="Too many open files; nothing was kept"):
+        write(tmp_path / "run")
+    assert os.listdir(tmp_path) == []
+
+
 def test_a_run_replaces_a_run_but_nothing_else(tmp_path):
     write(tmp_path / "run", seed=1)
     write(tmp_path / "run", seed=2)

@@ -203,3 +203,12 @@ def test_names_of_runs_files():
             ".rays-0.12-ab.tmp.parquet", f"rays-{'0a' * 16}.parquet.0a0b.upload"]  # fmt: skip
     assert all(map(is_of_run, good))
     assert not any(map(is_of_run, ["mine.txt", "rays-1.parquet", "x.json", "part-1.json", f"rays-{'0' * 32}.png.txt"]))
+
+
+def test_a_folder_of_runs_may_have_a_picture_and_a_manifest_of_its_own(folder):
+    for name in ("image.png", MANIFEST):
+        publish(folder[0].parent / name, b"{}")
+        assert not holds_run(folder[0].parent)
+    assert find_runs(folder[0].parent) == [folder[0]]
+    publish(folder[0] / MANIFEST, b"{")
+    assert holds_run(folder[0])  # a damaged one

@@ -98,3 +98,16 @@ def test_a_file_is_replaced_and_never_written_in_place(tmp_path, scene):
         assert file.read_bytes() != damaged
         assert reader.read() == damaged
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_what_others_write_or_delete_keeps_no_tree_from_being_kept(tmp_path, monkeypatch):
+    being_written, gone = tmp_path / ".a.1-ab.tmp.npz", tmp_path / "gone.npz"
+    for path in (being_written, tmp_path / "a.npz", tmp_path / "b.npz"):
+        path.write_bytes(b"tree")
+    os.utime(being_written, (1000, 1000))
+    os.utime(tmp_path / "a.npz", (2000, 2000))
+    found = type(tmp_path).glob
+    monkeypatch.setattr(type(tmp_path), "glob", lambda path, pattern: [*found(path, pattern), gone])
+    monkeypatch.setattr(treecache, "SHARE", 0)
+    treecache._forget_oldest(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [being_written.name, "b.npz"]
