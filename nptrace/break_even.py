@@ -12,13 +12,17 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from cachesim.clock import parts as clock_parts
+from cachesim.clock import timing
 from cachesim.clock.parameters import PRESETS, Clock
 from cachesim.clock.parts import Estimated, time_part
 from cachesim.clock.timing import Timing, time_run
 from cachesim.config import CacheConfig
+from nptrace import __version__
 from nptrace_base.atomic import whole_file
 from nptrace_base.errors import NptraceError
 from nptrace_base.records import write_parquet
+from nptrace_base.sources import digest_of
 from rtrace.render import Shooting, render_all
 from rtrace.scenes.scene import Scene
 from traces.identity import COLUMNS
@@ -67,6 +71,9 @@ class Grid:
         return [CacheConfig(size, ways, line_bytes) for size, ways in self.caches]
 
 
+#: What the rows of a part follow from: another program times its run again.
+_CODE = (Path(__file__), *(Path(str(each.__file__)) for each in (timing, clock_parts)))
+
 QUICK = Grid(leaves=(1, 4), triangles=(8,), misses=(100,), rays=(1, 4), caches=((8192, 2),))
 
 
@@ -86,7 +93,7 @@ def break_even(
     rows: list[dict[str, Any]] = []
     for scene, leaf in product(scenes, grid.leaves):
         params = {tree: {"min_leaf": leaf, "max_leaf": leaf} for tree in grid.trees}
-        for summary in render_all([scene], params, shooting, folder, threads=threads):
+        for summary in render_all([scene], params, shooting, folder, threads=threads, tool_version=__version__):
             run = open_run(str(summary.identity.path))
             rows += _part(run, leaf, grid, parts, folder, threads, on_run(run.name))
     return rows
@@ -95,11 +102,11 @@ def break_even(
 def _part(
     run: Run, leaf: int, grid: Grid, parts: int, folder: Path, threads: int, advance: Callable[[int], object]
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Return the rows of one run, from its file if there is one for this grid."""
+    """Return the rows of one run, from its file if there is one for this grid, of this program."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid), parts], sort_keys=True)
+    asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid), parts, digest_of(_CODE)], sort_keys=True)
     path = folder / f"map-{hashlib.sha256(asked.encode()).hexdigest()[:16]}.parquet"
     if path.exists():
         try:
@@ -124,6 +131,6 @@ def _rows(
         else:
             found = time_run(run, [config], grid.clocks(), grid.prefetches, threads=threads)
         advance(1)
-        for timing in found:
-            figures = timing.to_dict() | {"leaf": leaf, "parts": parts}
+        for each in found:
+            figures = each.to_dict() | {"leaf": leaf, "parts": parts}
             yield {name: figures.get(name) for name in names}

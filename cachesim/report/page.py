@@ -70,11 +70,11 @@ OURS: list[Column] = [("demand B/A", "demand_ratio", "%"), ("speed-up", "speed_u
 
 @dataclass(frozen=True)
 class Heat:
-    """The heat maps of a kind, one for each run, (height, width) of numbers, on one scale."""
+    """The heat maps of a kind, one for each run, (height, width) of numbers, on one scale; None for a run of packets."""
 
     kind: str
     scale: Scale
-    maps: Sequence[np.ndarray]
+    maps: Sequence[np.ndarray | None]
 
 
 @dataclass
@@ -212,9 +212,9 @@ def _runs(report: Report, names: Mapping[RunIdentity, str]) -> list[dict[str, An
     found = []
     for i, (run, facts, picture) in enumerate(zip(report.runs, report.facts, report.pictures, strict=True)):
         heat = [
-            {"kind": each.kind, "label": each.scale.label, "total": f"{int(each.maps[i].sum()):,}",
-             "most": f"{int(each.maps[i].max(initial=0)):,}", "number": n}
-            for n, each in enumerate(report.heat)
+            {"kind": each.kind, "label": each.scale.label, "total": f"{int(values.sum()):,}",
+             "most": f"{int(values.max(initial=0)):,}", "number": n}
+            for n, each in enumerate(report.heat) if (values := each.maps[i]) is not None
         ]  # fmt: skip
         found.append({
             "name": names[run], "scene": run.scene, "tree": run.tree, "facts": facts, "picture": _picture(picture),
@@ -279,8 +279,11 @@ def blocks(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 def _heat(heat: Heat) -> dict[str, Any]:
     """Return the maps of a kind as compressed numbers of 32 bits, lowest byte first."""
-    maps = []
+    maps: list[dict[str, Any] | None] = []
     for values in heat.maps:
+        if values is None:
+            maps.append(None)
+            continue
         cells, side = blocks(values)
         packed = zlib.compress(np.ascontiguousarray(cells, dtype="<u4").tobytes(), 9)
         maps.append({

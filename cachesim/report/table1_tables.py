@@ -10,6 +10,7 @@ from cachesim.report.cases import STAND_IN_NOTE
 from cachesim.report.replay_tables import direction
 from cachesim.report.table1 import NAMES, PAPER_N, TREES, Equation, Table1Row
 from nptrace_base.tables import Table, number, span
+from traces.identity import RunIdentity, labels
 
 _HEADER = (
     ["Scene", "Cache", ""]
@@ -47,7 +48,19 @@ def tables(rows: Sequence[Table1Row]) -> list[Table]:
 def notes(rows: Sequence[Table1Row], of_runs: Sequence[str] = ()) -> list[str]:
     """Return the notes below the tables; ``of_runs`` are those on which runs they are of."""
     stand_ins = [STAND_IN_NOTE] if any(row.is_stand_in for row in rows) else []
-    return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *of_runs, *_asked(rows), *verdict(rows)]
+    return [*NOTES[:-1], _acpr_note(rows), *stand_ins, *of_runs, *_asked(rows), *_untimed(rows), *verdict(rows)]
+
+
+def _untimed(rows: Sequence[Table1Row]) -> list[str]:
+    """Return which runs have no cycles, and why."""
+    packets = list(dict.fromkeys(row.identity for row in rows if row.timing is None and (row.identity.packet or 1) > 1))
+    return [untimed_note(packets)] if packets else []
+
+
+def untimed_note(runs: Sequence[RunIdentity]) -> str:
+    """Return why runs of packets have no cycles."""
+    names = ", ".join(labels(runs).values())
+    return f"No cycles of {names}: rays of a packet read nodes together, and on the clock every ray reads for itself."
 
 
 def _asked(rows: Sequence[Table1Row]) -> list[str]:

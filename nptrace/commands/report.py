@@ -97,12 +97,18 @@ class Case:
     threads: int
 
     @property
+    def single(self) -> "list[Run]":
+        """The runs that a clock can time: those whose rays walk alone."""
+        return [run for run in self.runs if run.footer.packet == 1]
+
+    @property
     def commands(self) -> dict[str, str]:
         """The commands that print the results, by their name on the page."""
         from traces.format import printable
 
         first, lines = self.configs[0], ",".join(str(line) for line in dict.fromkeys(c.line_bytes for c in self.configs))
         runs = " ".join(shlex.quote(printable(str(run.path))) for run in self.runs)
+        single = " ".join(shlex.quote(printable(str(run.path))) for run in self.single)
         same = f" --prefetch {self.prefetch} --layout {self.layout}"
         machine, *numbers = self.clock.name.split(", ")
         given = "".join(f" --{number.replace('=', ' ')}" for number in numbers)
@@ -110,7 +116,7 @@ class Case:
             "replay": f"npcache replay {runs}{_cache_options(self.configs)}{same}",
             "sweep": f"npcache sweep {runs} --size {SIZES} --ways {WAYS} --line {lines}{same}",
             "levels": f"npcache replay {runs} --by level{_cache_options([first])}{same}",
-            "compare": f"npcache compare {runs} --machine {machine}{given}{_cache_options([first])} --layout {self.layout} "
+            "compare": f"npcache compare {single} --machine {machine}{given}{_cache_options([first])} --layout {self.layout} "
             "--no-baselines",
             "table1": f"npcache table1 {runs} --layout {self.layout}",
             "distances": f"npcache plot {runs} --kind distances --line {first.line_bytes}{same} -o distances.png",
@@ -151,7 +157,9 @@ def gathered(case: Case, bar: Progress) -> "Report":
     replayed = studies.replayed(runs, configs, policies, layouts, bar, threads=threads)
     swept = studies.swept(runs, swept_caches, policies, layouts, bar, threads=threads)
     levels = studies.replayed_by(runs, configs[:1], policies, layouts, "level", bar, threads=threads)
-    compared = studies.compared(runs, configs[0], case.clock, ["all"], case.layout, bar, baselines=False, threads=threads)
+    compared = studies.compared(
+        case.single, configs[0], case.clock, ["all"], case.layout, bar, baselines=False, threads=threads
+    )
     paper = _table1(case, bar)
     results: dict[str, Any] = {
         "replay": [each.to_dict() for each in replayed], "sweep": [each.to_dict() for each in swept],
@@ -159,11 +167,13 @@ def gathered(case: Case, bar: Progress) -> "Report":
         "table1": table1.to_dicts(paper),
     }  # fmt: skip
     of_clock = compare_tables.tables(compared)[1]
+    packets = [run.identity for run in runs if run not in case.single]
+    untimed = [table1_tables.untimed_note(packets)] if packets else []
     verdicts = [*replay_tables.verdict(replayed), *(table1_tables.verdict(paper) if paper else []),
                 *(text for text in of_clock if text not in compare_tables.NOTES)]  # fmt: skip
     notes = {
         "replay": [note for note in replay_tables.tables(replayed)[1] if note not in verdicts], "sweep": replay_tables.RATES,
-        "levels": (), "compare": compare_tables.NOTES,
+        "levels": (), "compare": [*compare_tables.NOTES, *untimed],
         "table1": [note for note in studies.table1_notes(paper) if note not in verdicts] if paper else (),
     }  # fmt: skip
     heat, distances = _by_run(case, bar)
@@ -203,14 +213,17 @@ def _by_run(case: Case, bar: Progress) -> "tuple[list[Heat], list[Any]]":
         bar.job(run.name)
         source = RunSource(run, case.layout)
         of_run = HeatMaps(source, setting, threads=case.threads)
-        for kind in HEAT:
-            maps[kind].append(of_run.values(kind, bar.phase(f"heat map, {kind}", run.n_accesses)))
+        for kind in HEAT:  # the reads of a packet are of no single pixel
+            has_pixels = run.footer.packet == 1
+            progress = bar.phase(f"heat map, {kind}", run.n_accesses)
+            maps[kind].append(of_run.values(kind, progress) if has_pixels else None)
         bar.phase("stack distances")
         distances.append(distances_of(source, case.configs[0].line_bytes, case.prefetch))
     heat = []
     for kind, found in maps.items():
         label = ", ".join(filter(None, [f"{KINDS[kind][0]} per pixel", setting.text(kind)]))
-        heat.append(Heat(kind, scale_of(label, found), found))
+        if shown := [each for each in found if each is not None]:
+            heat.append(Heat(kind, scale_of(label, shown), found))
     return heat, distances
 
 

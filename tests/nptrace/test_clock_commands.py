@@ -14,6 +14,7 @@ import nptrace_base.tables
 from cachesim.clock import compare, state, timing
 from nptrace.commands.time import BY
 from tests.nptrace.test_terminal import inputs
+from traces.reader import open_run
 
 RUN = ["traces/bunny-bvh", "--size", "1K", "--assoc", "1"]
 TIME = ["time", *RUN, "--rays", "4", "--prefetch", "stack,push"]
@@ -170,6 +171,17 @@ def test_a_map_goes_on_where_it_stopped(folder, monkeypatch):
     said = run(cli.nptrace, *MAP, code=2).stderr.splitlines()[-1]
     part = parts[1].relative_to(folder)
     assert said == f"Error: {part} is no part of a map: it cannot be read; delete it, and its run is timed again"
+
+
+def test_a_map_of_another_program_is_timed_again(folder, monkeypatch):
+    """A map resumed after an upgrade returned the figures of the old program."""
+    assert {path.name for path in nptrace.break_even._CODE} == {"break_even.py", "timing.py", "parts.py"}
+    rows_of(cli.nptrace, *MAP)
+    [first, *_] = (folder / "traces" / "map").glob("*/accesses.parquet")
+    assert open_run(str(first.parent)).footer.tool_version == nptrace.__version__
+    monkeypatch.setattr(nptrace.break_even, "digest_of", lambda paths: "another")
+    rows_of(cli.nptrace, *MAP)
+    assert len(list((folder / "traces" / "map").glob("map-*.parquet"))) == 12
 
 
 def test_a_map_from_part_of_the_rays(folder):
