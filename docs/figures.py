@@ -264,9 +264,11 @@ def speed_error_about(cog) -> None:
     large = [row for row in held if row["size"] == "2048x2048" and row["median_share"] and row["target"] == "2%,0.05pp"]
     if large:
         share = 100 * _median([float(row["median_share"]) for row in large])
+        scenes = ", ".join(sorted({row["scene"] for row in large}))
         cog.outl(
-            "\n**In one sentence**: filter first, which introduces no error; then `--target-error 2%,0.05pp` at "
-            f"2048x2048 needs {share:.0f} % of the rays (median over runs), and every figure it prints has its half-width."
+            "\n**In one sentence**: filter first, which introduces no error; then `--target-error 2%,0.05pp` at 2048x2048 "
+            f"needs {share:.0f} % of the rays (median over {len(large)} runs: {scenes}), and every figure it prints has its "
+            "half-width."
         )
 
 
