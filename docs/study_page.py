@@ -367,8 +367,8 @@ def answer(cog: Any) -> None:
     at, (_, *exchanges) = summary(model.residuals), placebos(TO_TARGET)
     near = sum(is_within_target(each.found) for each in exchanges)
     cog.outl(
-        f"- **No cause and no model is identified.** Of {2 * n_groups} groups of rows, {n_named()} have a cause that is "
-        f"named more often than for exchanged scenes. {len(near_models())} of {len(fits()):,} models come within our target of "
+        f"- **No cause and no model is identified.** A cause is named for {n_named()} of {2 * n_groups} groups of rows: one "
+        f"knob explains exchanged scenes as often. {len(near_models())} of {len(fits()):,} models come within our target of "
         f"B/A, and models of {near} of {len(exchanges)} exchanges do. The nearest leaves {at.median:.1f} points in the median "
         f"row, {at.worst:.1f} in the worst."
     )
