@@ -95,7 +95,7 @@ def finding(cog) -> None:
         f"counts prefetches as accesses. In our runs, the misses for which a ray waits fall to {demand['kdtree']} (kd-tree) "
         f"and {demand['bvh']} (BVH), and the bytes from memory are {bytes_}. In cycles, with one ray in flight, the unit "
         f"gives a speed-up of {pay.unit_gives('kdtree')} (kd-tree) and {pay.unit_gives('bvh')} (BVH). Without any unit, with "
-        f"16 MSHRs and at most 1.1 times the bytes, the fastest line and layout of each scene gives up to {most('kdtree')} and "
+        f"16 MSHRs and at most 1.1 times the bytes, the fastest line and layout of each scene gives {most('kdtree')} and "
         f"{most('bvh')}, the best single one for all scenes {pay.one_for_all('kdtree')} and {pay.one_for_all('bvh')}."
     )
 

@@ -285,7 +285,7 @@ def _files(folder: Place) -> Iterator[tuple[str, int, float]]:
             if each.type.name == "File":
                 yield each.base_name, each.size, math.inf if each.mtime_ns is None else each.mtime_ns / 1e9
         return
-    with suppress(FileNotFoundError), os.scandir(folder) as entries:
+    with suppress(FileNotFoundError, NotADirectoryError), os.scandir(folder) as entries:
         for entry in entries:
             with suppress(FileNotFoundError):  # another process has just deleted this one
                 if entry.is_file():
