@@ -63,8 +63,8 @@ def package() -> None:
     if sys.argv[1:2] != ["cache"]:
         return nptrace()
     del sys.argv[1]
-    sys.argv[0] = "npcache"
-    return npcache()
+    check_parts()
+    importlib.import_module("cli").npcache(prog_name="python -m nptrace cache")
 
 
 if __name__ == "__main__":

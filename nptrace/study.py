@@ -170,6 +170,7 @@ def _try(where: "_Lines", study: Study) -> None:
     for name in study.sections:
         with where.of(name, ""):
             _plan(name, study.sections[name])
+        _check_how(where, name, study.sections[name])
 
 
 def _with_knob(name: str, value: Any) -> "Shooting":
@@ -183,6 +184,18 @@ def _plan(name: str, values: Mapping[str, Any]) -> Any:
     given = {key: value for key, value in values.items() if key not in HOW and value is not None}
     plan: Callable[..., Any] = getattr(plans, f"{name}_plan")
     return plan(**given)
+
+
+def _check_how(where: "_Lines", name: str, values: Mapping[str, Any]) -> None:
+    """Check the options of ``HOW``, each of which has one value."""
+    from cachesim.flush import FLUSHES
+    from cachesim.reads import READS
+
+    for key, known in (("three_c", (True, False)), ("reads", READS), ("flush", FLUSHES)):
+        with where.of(name, key):
+            if key in values and values[key] not in known:
+                text = ", ".join(map(str, known)).replace("True, False", "true or false")
+                raise NptraceError(f"{key}: {values[key]!r} is not one of {text}")
 
 
 def _several(value: Any) -> list[Any]:

@@ -54,6 +54,8 @@ class Shooting:
             raise NptraceError(f"order must be one of {', '.join(ORDERS)}, got {self.order!r}")
         if not 0 <= self.batch < 1 << 32:
             raise NptraceError(f"batch must be 0 (all primary rays first) or up to 2^32 - 1, got {self.batch}; write e.g. 64")
+        if type(self.seed) is not int or self.seed < 0:
+            raise NptraceError(f"seed must be a whole number from 0, got {self.seed!r}")
         if self.packet not in PACKETS:
             raise NptraceError(f"packet must be one of {', '.join(map(str, PACKETS))} rays, got {self.packet}; write e.g. 64")
         for name, known in (("shadow", SHADOWS), ("shadow_order", SHADOW_ORDERS), ("shadow_end", SHADOW_ENDS)):

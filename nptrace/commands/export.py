@@ -12,11 +12,13 @@ from nptrace.progress import Progress, done, say
 from nptrace.sources import PlaceOf
 from nptrace_base.places import Place
 
+FORMS = ("din", "csv", "parquet")
+
 
 @click.command(cls=Command, old={"--to": "--format", "--prefetch": "--prefetch-as"})
 @click.argument("run", type=PlaceOf())
 @click.option(
-    "--format", "form", type=click.Choice(["din", "csv", "parquet"]), default="din", show_default=True,
+    "--format", "form", type=click.Choice(FORMS), show_default="by the ending of -o, or din",
     help="DineroIV's traces, or columns address, type and size.",
 )  # fmt: skip
 @click.option("--binary", is_flag=True, help="Write DineroIV's binary records instead of text.")
@@ -29,12 +31,12 @@ from nptrace_base.places import Place
     help="Access type of the prefetch requests: b, read (0) or misc (3); omit leaves them out.",
 )
 @output_option("-o", "--output", help="Output file, - for stdout; by default RUN.din, .csv or .parquet.")
-def export(run: Place, form: str, binary: bool, prefetch: str, output: Path | None) -> None:
+def export(run: Place, form: str | None, binary: bool, prefetch: str, output: Path | None) -> None:
     """Write a run as a trace of addresses: for DineroIV, or in CSV or Parquet for any other program.
 
     \b
     nptrace export traces/bunny-bvh
-    nptrace export traces/bunny-bvh --format parquet -o bunny.parquet
+    nptrace export traces/bunny-bvh -o bunny.parquet
     dineroIV -informat d -l1-usize 8k -l1-ubsize 32 -l1-uassoc 2 < bunny-bvh.din
     """
     from traces.address_files import export_addresses
@@ -42,6 +44,8 @@ def export(run: Place, form: str, binary: bool, prefetch: str, output: Path | No
     from traces.format import printable
     from traces.reader import open_run
 
+    ending = output.suffix.lower().removeprefix(".") if output is not None else ""
+    form = form or (ending if ending in FORMS else "din")
     if binary and form != "din":
         raise BadInput(f"--binary is a form of DineroIV's traces, and {form} has none; leave it out")
     opened, began = open_run(run), time.perf_counter()

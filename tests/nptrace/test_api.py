@@ -203,6 +203,8 @@ def test_a_cache_is_written_as_a_paper_writes_it():
         (lambda: nt.compare(rays=[1, 2]), "compare takes one cache and one machine"),
         (lambda: nt.table1("other"), "is of a scene of Table I|are both bunny"),
         (lambda: nt.open("nosuch"), "is not a run directory"),
+        (lambda: nt.render("blob", seed=-1), "seed must be a whole number from 0, got -1"),
+        (lambda: nt.render("blob", seed="x"), "seed must be a whole number from 0, got 'x'"),
     ],
 )
 def test_errors_are_the_packages_own(folder, call, sentence):
@@ -233,7 +235,7 @@ def test_the_package_runs_both_programs(folder):
         ).stdout
 
     assert "npcache: replay, sweep" in " ".join(run("--help").split())
-    assert "Stage 2" in run("cache", "--help") and "replay" in run("cache", "--help")
+    assert run("cache", "--help").startswith("Usage: python -m nptrace cache [OPTIONS]") and "replay" in run("cache", "--help")
     assert json.loads(run("cache", "replay", str(folder / "traces" / "bunny-bvh"), "--json"))[0]["run"] == "bunny-bvh"
 
 

@@ -97,6 +97,15 @@ def test_scenes_are_listed(folder):
     assert {row["name"] for row in json.loads(run("scenes", "--json").stdout)} >= {"bunny", "conference", "sibenik", "sponza"}
 
 
+def test_the_ending_chooses_the_format_of_an_exported_run(folder):
+    run("render", "ball.obj", "--name", "ball", "--accel", "bvh", "--pixels", "16x16")
+    for name, first in (("x.parquet", b"PAR1"), ("x.csv", b"address"), ("x.din", b"0 "), ("x.CSV", b"address")):
+        run("export", "traces/ball-bvh", "-o", name)
+        assert Path(name).read_bytes().startswith(first), name
+    run("export", "traces/ball-bvh", "--format", "din", "-o", "y.csv")
+    assert Path("y.csv").read_bytes().startswith(b"0 ")
+
+
 def test_an_exported_run_is_a_din_trace(folder):
     run("render", "ball.obj", "--name", "ball", "--accel", "bvh", "--pixels", "16x16")
     run("export", "traces/ball-bvh")

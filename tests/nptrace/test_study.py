@@ -143,6 +143,8 @@ def test_another_run_of_the_name_is_kept_and_a_damaged_one_is_made_again(folder)
         ('"morton"', '"spiral"', 5, "order must be one of"),
         ('size = "1K,2K"', 'size = "1K,x"', 7, "size: 'x' is not a size"),
         ('"traced"', '"foo"', 8, "prefetch: "),
+        ('"bfs"', '"bfs"\nflush = "x"', 10, "flush: 'x' is not one of never, ray"),
+        ('"bfs"', '"bfs"\nreads = 3', 10, "reads: 3 is not one of own, children, merged"),
         ('"bfs"', '"foo"', 9, "layout: 'foo' is not a layout"),
         ("ways = 1", "ways = 3", 10, "is not a whole number of sets"),
         ("ways = 1", "ways = true", 12, "time.ways is True, and not a text or a whole number"),
