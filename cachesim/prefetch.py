@@ -12,7 +12,7 @@ import numpy as np
 
 from cachesim.access import MISC, PREFETCH, READ
 from cachesim.cache import NEVER
-from cachesim.policies import Facts, Policy, hooks, policies
+from cachesim.policies import Facts, Policy, hooks, own_policy, policies
 from cachesim.policies.machine import Tree, first_waiting, make_machine, stop_waiting
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
@@ -75,7 +75,7 @@ class Prefetch:
 def parse_prefetch(text: str) -> Prefetch:
     """Return the policy that a text such as ``traced``, ``stack:tris*2:once`` or ``next-line:tagged:2`` names."""
     name, *options = text.strip().lower().split(":")
-    policy = policies().get(name)
+    policy = own_policy(name) or policies().get(name)
     if policy is None:
         known = ", ".join(policy.form for policy in policies().values())
         raise NptraceError(f"{text!r}: there is no prefetch policy {name!r}; write one of {known}")

@@ -14,7 +14,7 @@ announce: Callable[[str], object] | None = None
 watch: Callable[[int, bool], object] | None = None
 #: For ``gc.set_threshold``: importing and compiling make millions of lasting objects, and searching them for
 #: cycles took a fifth of the time.
-GC_THRESHOLD = 100_000, 50, 50
+GC_THRESHOLD = 300_000, 50, 50
 n_compiled = 0  # kernels compiled by this process; those loaded from the cache do not count
 lost: dict[str, str] = {}  # what could not be stored, and the sentence about it
 _busy = 0  # kernels being compiled: one waits for those it calls

@@ -4,8 +4,8 @@ What is kept between runs (compiled kernels, trees) is named by such digests, so
 constant of another module counts, a module that is not imported does not.
 """
 
-import ast
 import hashlib
+import os
 import re
 from collections.abc import Iterable, Iterator
 from functools import cache
@@ -17,8 +17,14 @@ ROOT = Path(__file__).resolve().parent.parent
 #: What is ours of it: an installed program lies among everybody's packages.
 OURS = ("nptrace", "nptrace_base", "traces", "rtrace", "cachesim", "cli")
 
-#: A statement that imports. Parsing whole files took ten times as long, and every command waits for it.
-_IMPORT = re.compile(r"^[ \t]*(?:from|import)[ \t](?:[^\n\\(]|\\\n|\([^)]*\))*", re.MULTILINE)
+#: A statement that imports something of ours: the module, and what of it. Every command waits for these lines: parsing whole
+#: files takes ten times as long, and a path object for each name doubles it.
+_IMPORT = re.compile(
+    rf"^[ \t]*(?:import|from)[ \t]+((?:{'|'.join(OURS)})\b[.\w]*)"
+    r"(?:[ \t]+import[ \t]+(\([^)]*\)|(?:[^\n\\]|\\\n)*))?",
+    re.MULTILINE,
+)
+_COMMENT = re.compile("#.*")
 
 #: How a package imports each file of its folder, so that adding one is adding a file.
 _LISTING = re.compile(r"Path\(__file__\)\.parent\.glob\(")
@@ -34,45 +40,41 @@ def digest_of(paths: Iterable[Path]) -> str:
 
 def closure(paths: Iterable[Path]) -> set[Path]:
     """Return the given source files and all of ours that they import, directly or through others."""
-    found: set[Path] = set()
-    todo = list(paths)
+    found: set[str] = set()
+    todo = [str(path) for path in paths]
     while todo:
         path = todo.pop()
         if path not in found:
             found.add(path)
             todo += _imported(path)
-    return found
+    return {Path(path) for path in found}
 
 
 @cache
-def _imported(path: Path) -> tuple[Path, ...]:
+def _imported(path: str) -> tuple[str, ...]:
     """Return our files that a file imports anywhere in it, also inside functions, or finds by listing its own folder."""
-    listed = sorted(path.parent.glob("*.py")) if _LISTING.search(path.read_text(encoding="utf-8")) else []
-    return tuple(file for name in _names(path) for file in _files(name)) + tuple(listed)
+    text = Path(path).read_text(encoding="utf-8")
+    listed = sorted(map(str, Path(path).parent.glob("*.py"))) if _LISTING.search(text) else []
+    return tuple(file for name in _names(text) for file in _files(name)) + tuple(listed)
 
 
-def _names(path: Path) -> Iterator[str]:
-    """Yield what a file imports as dotted names; of ``from a import b`` both ``a`` and ``a.b``, which may be a module."""
-    package = path.relative_to(ROOT).parent.parts
-    for statement in _IMPORT.findall(path.read_text(encoding="utf-8")):
-        try:
-            (node,) = ast.parse(statement.strip()).body
-        except SyntaxError:  # a sentence of a docstring
-            continue
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            start = package[: len(package) - node.level + 1] if node.level else ()
-            base = ".".join((*start, *filter(None, [node.module])))
-            yield base
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+def _names(text: str) -> Iterator[str]:
+    """Yield what of ours a source imports as dotted names; of ``from a import b`` both ``a`` and ``a.b``, perhaps a module."""
+    for base, names in _IMPORT.findall(text):
+        yield base
+        if names:
+            words = _COMMENT.sub("", names).replace("\\", "").strip("()").split(",")
+            yield from (f"{base}.{word.split()[0]}" for word in words if word.strip())
 
 
 @cache
-def _files(name: str) -> list[Path]:
+def _files(name: str) -> list[str]:
     """Return the files of ours that importing a dotted name runs: the packages on the way, and the module."""
-    parts = name.split(".")
-    if parts[0] not in OURS:
-        return []
-    packages = [ROOT.joinpath(*parts[:n], "__init__.py") for n in range(1, len(parts) + 1)]
-    return [file for file in (*packages, ROOT.joinpath(*parts).with_suffix(".py")) if file.is_file()]
+    place, found = str(ROOT), []
+    for part in name.split("."):
+        place = f"{place}/{part}"
+        if os.path.isfile(f"{place}/__init__.py"):
+            found.append(f"{place}/__init__.py")
+        elif os.path.isfile(f"{place}.py"):
+            return [*found, f"{place}.py"]  # what follows is a name in the module
+    return found

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
@@ -125,6 +124,8 @@ class AddressFile:
         return address.astype(np.uint32), size.astype(np.uint32) if "size" in columns else 1, types
 
     def _numbers(self, name: str, values: Any, before: int) -> np.ndarray:
+        import pyarrow.compute as pc  # a fifth of a warm start, and few commands read such a file
+
         if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
             good = pc.fill_null(pc.match_substring_regex(values, _INTEGER), False)
             if not pc.all(good).as_py():
@@ -140,6 +141,8 @@ class AddressFile:
 
     def _types(self, values: Any, before: int) -> np.ndarray:
         """Return access types; those that DineroIV knows and a trace of reads cannot have are left to the check of rows."""
+        import pyarrow.compute as pc
+
         words = pc.utf8_lower(pc.utf8_trim_whitespace(pc.cast(values, pa.string())))
         good = pc.fill_null(pc.is_in(words, pa.array([*_TYPES], pa.string())), False)
         if not pc.all(good).as_py():
@@ -150,7 +153,7 @@ class AddressFile:
         return table[as_array(numbers.indices)]
 
     def _bad(self, name: str, values: Any, good: Any, before: int, rule: str) -> DinError:
-        at = pc.index(good, False).as_py()
+        at = good.index(False).as_py()
         return DinError(f"{self.stream.where}, row {before + at + 1}: {name} {values[at].as_py()!r} is {rule}")
 
 

@@ -106,14 +106,23 @@ def whole(text: str, name: str, low: int, high: int) -> int:
     return int(digits)
 
 
+def own_policy(name: str) -> Policy | None:
+    """Return the policy of a name if it is one of this folder, importing no other: a command in a hurry asks for one."""
+    file = name.replace("-", "_")
+    if not file.isidentifier() or not (Path(__file__).parent / f"{file}.py").exists():
+        return None
+    policy: Policy | None = getattr(import_module(f"{__name__}.{file}"), "POLICY", None)
+    return policy if policy is not None and policy.name == name else None
+
+
 @cache
 def policies() -> dict[str, Policy]:
-    """Return all policies by name: the files of this folder, then those of other packages."""
+    """Return all policies by name: the files of this folder, then those of other packages, which cannot take their names."""
     import importlib.metadata
 
-    found = [import_module(f"{__name__}.{name}").POLICY for name in described()]
-    found += [entry.load() for entry in importlib.metadata.entry_points(group=GROUP)]
-    return {policy.name: policy for policy in found}
+    own = {file.replace("_", "-"): import_module(f"{__name__}.{file}").POLICY for file in described()}
+    others = [entry.load() for entry in importlib.metadata.entry_points(group=GROUP)]
+    return own | {policy.name: policy for policy in others if policy.name not in own}
 
 
 @cache

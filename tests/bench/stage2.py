@@ -172,7 +172,7 @@ trace_recorded(cached_tree(scene, "bvh"), rays)
 
 _LEAST = """
 import gc, os
-gc.set_threshold(100_000, 50, 50)
+gc.set_threshold(300_000, 50, 50)
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numba, numpy, pyarrow.parquet
 

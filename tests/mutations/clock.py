@@ -94,7 +94,7 @@ MUTATIONS = [
     Mutation("replay: a policy that needs the clock is replayed", "cachesim/prefetch.py", "if prefetch.policy.needs_clock:", "if prefetch.policy.needs_clock and prefetch.kind != \"treelet\":", NEEDS),
     Mutation("replay: a scout that is left out", "cachesim/prefetch.py", "unit = scout(self._machine, self._facts, **prefetch.options) if scout else None", "unit = None", UNTIMED),
     Mutation("kernels: those of another package's unit are stored", "nptrace_base/jit.py", "if all(map(_is_ours, data.signature.args)) and self._open():", "if self._open():", FOREIGN),
-    Mutation("kernels: policies do not count as imported", "nptrace_base/sources.py", "return tuple(file for name in _names(path) for file in _files(name)) + tuple(listed)", "return tuple(file for name in _names(path) for file in _files(name))", "tests/nptrace_base/test_kernel_cache.py -k listing"),
+    Mutation("kernels: policies do not count as imported", "nptrace_base/sources.py", "return tuple(file for name in _names(text) for file in _files(name)) + tuple(listed)", "return tuple(file for name in _names(text) for file in _files(name))", "tests/nptrace_base/test_kernel_cache.py -k listing"),
     Mutation("compare: lines longer than the cache", "cachesim/clock/compare.py", "if not 0 < ways <= lines or", "if lines < ways or", "tests/cachesim/clock/test_baselines.py"),
-    Mutation("kernels: everybody's packages count as imported", "nptrace_base/sources.py", "if parts[0] not in OURS:", "if parts[0] in ():", "tests/nptrace_base/test_kernel_cache.py -k everybodys"),
+    Mutation("kernels: everybody's packages count as imported", "nptrace_base/sources.py", "((?:{'|'.join(OURS)})\\b[.\\w]*)", "([.\\w]+)", "tests/nptrace_base/test_kernel_cache.py -k everybodys"),
 ]
