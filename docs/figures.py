@@ -197,6 +197,16 @@ def fuzz(cog) -> None:
         cog.outl(f"| {row['inputs']} | {row['tried']:,} | {row['accepted']:,} | {row['refused']:,} |")
 
 
+def dinero(cog) -> None:
+    """Write how many random replays DineroIV's program and ours printed alike."""
+    found = json.loads((DATA / "dinero.json").read_text(encoding="utf-8"))
+    alike = found["cases"] - found["different"]
+    cog.outl(
+        f"Of {found['cases']:,} random cases with {found['demand_accesses']:,} demand accesses, {alike:,} printed the same "
+        "block, to the last byte."
+    )
+
+
 def mutations(cog) -> None:
     """Write the test that noticed each mutation."""
     with open(DATA / "mutations.csv", encoding="utf-8") as file:

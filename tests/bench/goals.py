@@ -42,6 +42,10 @@ GOALS |= {
     "build sweep / embree": ("CPU time of the full-sweep BVH's build, likewise", ""),
     "build kd / embree": ("CPU time of the kd-tree's build, likewise", "<= 4"),
     "DineroIV text / 2-way": ("one 2-way replay from memory, against DineroIV", ">= 30"),
+    "DineroIV / npcache replay": (
+        "DineroIV over npcache replay from Parquet, whole processes, 8K 2-way, reads of a picture of 512x512, CPU time",
+        ">= 3",
+    ),
     "pycachesim / 2-way": ("one 2-way replay from memory, against pycachesim", ">= 8"),
     "1-way, ns per access": ("one direct-mapped replay from memory, ns per access", ""),
     "2-way, ns per access": ("one 2-way replay from memory, ns per access", "<= 3"),
@@ -68,6 +72,7 @@ GOALS |= {
     "cold compile of everything, s": ("cold compilation of everything by two processes, s of wall time", "<= 25"),
     "cold compile of everything, CPU s": ("the same, CPU s of both", ""),
     "warm start to the first ray, s": ("warm start to the first traced ray, CPU s", "<= 1.0"),
+    "warm start to a first replay, s": ("npcache replay of a picture of 16x16, the whole process, warm, CPU s", "<= 0.5"),
     "warm start of an empty program, s": (
         "the same of a program with one kernel and nothing else but NumPy and pyarrow, CPU s",
         "",

@@ -1,10 +1,12 @@
 """Stage 2 against itself and against DineroIV and pycachesim, where they are at hand: one cache, all caches, decoding."""
 
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,8 @@ from tests.bench.measure import ratio, times
 from tests.bench.parts import bench_parts
 from traces.din import export_din
 from traces.reader import Run
+
+_ROOT = Path(__file__).resolve().parents[2]
 
 #: The four caches of Table I.
 TABLE1 = [CacheConfig(size, ways) for size in (8192, 16384) for ways in (1, 2)]
@@ -120,18 +124,23 @@ def bench_sweep(lines: np.ndarray, labels: np.ndarray, two_ways: list[float], re
 
 
 def bench_dinero(run: Run, ours: float) -> dict[str, float]:
-    """DineroIV named by $DINERO on the same trace as din text, user time; pycachesim by the Python named by $PYCACHESIM."""
+    """DineroIV named by $DINERO on the same trace as din text, user time; pycachesim by the Python named by $PYCACHESIM.
+
+    Of the reads alone, whole processes too: ``npcache replay`` straight from Parquet, and DineroIV; CPU times, in turn.
+    """
     out = {}
     program, python = os.environ.get("DINERO"), os.environ.get("PYCACHESIM")
     with tempfile.TemporaryDirectory() as name:
-        trace = Path(name) / "x.din"
+        trace, reads = Path(name) / "x.din", Path(name) / "reads.din"
         n = export_din(run, trace) if program or python else 0
         if program:
-            command = [program, "-informat", "d", "-l1-usize", "8k", "-l1-ubsize", "32", "-l1-uassoc", "2"]
-            with open(trace, "rb") as file:
-                before = os.times().children_user
-                subprocess.run(command, stdin=file, capture_output=True, check=True)
-            out["DineroIV text / 2-way"] = (os.times().children_user - before) / n / ours
+            export_din(run, reads, prefetch="omit")
+            theirs = [program, "-informat", "d", "-l1-usize", "8k", "-l1-ubsize", "32", "-l1-uassoc", "2"]
+            replay_ = [str(run.path), "--size", "8K", "--assoc", "2", "--prefetch", "none"]
+            npcache = [sys.executable, "-c", "import cli; cli.npcache()", "replay", *replay_]
+            out["DineroIV text / 2-way"] = cpu_seconds(theirs, trace)[0] / n / ours
+            pairs = [(cpu_seconds(theirs, reads), cpu_seconds(npcache)) for _ in range(3)]
+            out["DineroIV / npcache replay"] = statistics.median(sum(a) / sum(b) for a, b in pairs)
         if python:
             # Elsewhere than here: its import name is that of our own package, and Python looks in the working folder first.
             environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
@@ -140,6 +149,16 @@ def bench_dinero(run: Run, ours: float) -> dict[str, float]:
             )
             out["pycachesim / 2-way"] = float(done.stdout) / ours
     return out
+
+
+def cpu_seconds(command: Sequence[str], stdin: Path | None = None) -> tuple[float, float]:
+    """Run a command of this project's folder; return its seconds of user and of system time."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    before = os.times()
+    with open(stdin or os.devnull, "rb") as file:
+        subprocess.run(command, stdin=file, capture_output=True, check=True, cwd=_ROOT, env=environment)
+    after = os.times()
+    return after.children_user - before.children_user, after.children_system - before.children_system
 
 
 _PYCACHESIM = """
@@ -185,30 +204,33 @@ first(numpy.zeros(1))
 
 
 def bench_start() -> dict[str, float]:
-    """Cold compilation of everything, in seconds and CPU seconds, and a warm start to the first traced ray, CPU seconds."""
-    compile_ = [sys.executable, "-c", "import cli; cli.nptrace()", "compile"]
+    """Cold compilation of everything, in seconds and CPU seconds, and warm starts to a first traced ray and a first count."""
     with tempfile.TemporaryDirectory() as name:
-        root = str(Path(__file__).resolve().parents[2])
-        environment = {**os.environ, "XDG_CACHE_HOME": name, "NUMBA_CACHE_DIR": name, "PYTHONPATH": root}
+        environment = {**os.environ, "XDG_CACHE_HOME": name, "NUMBA_CACHE_DIR": name, "PYTHONPATH": str(_ROOT)}
+        environment |= {"PYTHONPYCACHEPREFIX": f"{name}/python"}  # Python's own compiled files are kept, as they usually are
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
 
-        def seconds(command: list[str]) -> tuple[float, float]:
+        def seconds(*command: str) -> tuple[float, float]:
             start, before = time.perf_counter(), os.times()
-            subprocess.run(command, cwd=name, env=environment, capture_output=True, check=True)
+            subprocess.run([sys.executable, *command], cwd=name, env=environment, capture_output=True, check=True)
             after = os.times()
             cpu = after.children_user + after.children_system - before.children_user - before.children_system
             return time.perf_counter() - start, cpu
 
-        cold, cold_cpu = seconds(compile_)
-        first_ray = [sys.executable, "-c", _FIRST_RAY]
-        seconds(first_ray)  # builds the tree, and writes Python's own compiled files
+        cold, cold_cpu = seconds("-c", "import cli; cli.nptrace()", "compile")
         least = Path(name) / "least.py"
         least.write_text(_LEAST)
-        seconds([sys.executable, str(least)])
-        both = [(seconds(first_ray)[1], seconds([sys.executable, str(least)])[1]) for _ in range(7)]
-        warm, floor = (sorted(each)[3] for each in zip(*both, strict=True))
+        seconds("-c", "import cli; cli.nptrace()", "render", "blob", "--accel", "bvh", "--pixels", "16x16")
+        replay_ = ("replay", "--size", "8K", "--assoc", "2", "--prefetch", "none")
+        programs = [("-c", _FIRST_RAY), ("-c", "import cli; cli.npcache()", *replay_), (str(least),)]
+        for program in programs:  # builds the tree, and writes Python's own compiled files
+            seconds(*program)
+        taken = [[seconds(*program)[1] for program in programs] for _ in range(7)]
+        warm, first, floor = (sorted(each)[3] for each in zip(*taken, strict=True))
     return {
         "cold compile of everything, s": cold,
         "cold compile of everything, CPU s": cold_cpu,
         "warm start to the first ray, s": warm,
+        "warm start to a first replay, s": first,
         "warm start of an empty program, s": floor,
     }
