@@ -5,6 +5,7 @@ import gc
 import importlib
 import io
 import os
+import re
 import signal
 import sys
 import time
@@ -20,6 +21,9 @@ from nptrace_base.errors import NptraceError
 #: What a full disk says, whose error may not name a file: standard output has none.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
+
+#: Where a command keeps, in its context, the runs that it found in folders: path -> folder.
+FOUND = "nptrace.found"
 
 #: Exit status of a program that Ctrl-C ended.
 INTERRUPTED = 130
@@ -104,6 +108,14 @@ def _level_option(short: str, long: str, level: int, help: str) -> Any:
     return click.option(short, long, is_flag=True, is_eager=True, expose_value=False, callback=choose, help=help)
 
 
+def _way_around(sentence: str, found: Mapping[str, str]) -> str:
+    """Return how to leave out the run that a sentence is about, if it was found in a folder with others."""
+    bad = [path for path in found if re.search(rf"(?<!\S){re.escape(path)}(?![\w-]|\.\w)", sentence)]
+    if len(bad) != 1 or len(found) == 1:
+        return ""
+    return f"; to leave it out, name the other runs, or move it out of {found[bad[0]]}"
+
+
 class Command(click.Command):
     """A command with ``old`` spellings of its options, which still work and say what to write instead.
 
@@ -183,7 +195,7 @@ class Commands(click.Group):
         except BrokenPipeError:
             raise  # the reader has enough; click ends quietly
         except NptraceError as e:
-            raise BadInput(str(e)) from e
+            raise BadInput(f"{e}{_way_around(str(e), ctx.meta.get(FOUND, {}))}") from e
         except MemoryError as e:
             reason = f" ({e})" if str(e) else ""
             raise BadInput(f"there is not enough memory{reason}; take a smaller picture, mesh or cache, or fewer rays") from e
