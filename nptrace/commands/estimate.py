@@ -37,7 +37,9 @@ from nptrace.sources import LAYOUT_HELP
 )  # fmt: skip
 @threads_option()
 @scene_options
-@output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
+@output_option(
+    "--resume", binary="what an estimate keeps", help="Keep the counts in this file, and continue from it if it exists."
+)
 @results_options()
 @gathered("scenes", Scenes)
 @gathered("trees", Trees)

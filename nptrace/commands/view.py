@@ -49,7 +49,9 @@ def parse_kind(text: str) -> str:
 @click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=PREFETCH_HELP)
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @threads_option()
-@output_option("-o", "--output", "path", help="The picture: .png; heat maps also .svg and .pdf; - is stdout.")
+@output_option(
+    "-o", "--output", "path", binary="a picture", help="The picture: .png; heat maps also .svg and .pdf; - is stdout."
+)
 def view(
     sources: tuple[Place, ...], kinds: list[str], difference: bool, enlarge: int | None, machines: Machines, prefetch: str,
     layout: str, threads: int, path: Path | None,
