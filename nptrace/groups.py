@@ -102,6 +102,8 @@ def _level_option(short: str, long: str, level: int, help: str) -> Any:
     """Return the option that sets how much is said."""
 
     def choose(ctx: click.Context, param: click.Parameter, is_chosen: bool) -> None:
+        if is_chosen and progress.level not in (progress.USUAL, level):
+            raise BadInput("-q asks for less and -v for more than usual; leave one out")
         if is_chosen:
             progress.level = level
 
@@ -145,6 +147,13 @@ class Command(click.Command):
                 progress.say(f"{name} is now {self._old[name]}; the old spelling will go")
                 args[i] = self._old[name] + equals + value
         return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Refuse options that have no effect beside others; do the work."""
+        from nptrace import ignored
+
+        ignored.check(ctx.params)
+        return super().invoke(ctx)
 
 
 class Commands(click.Group):

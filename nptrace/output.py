@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput
+from nptrace.options import listing
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -86,8 +87,10 @@ def results_options(*more: str, default: str = "table") -> Any:
         @wraps(function)
         def command(form: str | None, as_json: bool, output_path: Path | None, is_wide: bool, **kwargs: Any) -> Any:
             chosen = one_form(form, as_json)
-            is_asked_for = chosen is not None or output_path is not None
+            is_asked_for = chosen is not None or output_path is not None or (is_wide and default == "table")
             chosen = chosen or form_by_ending(output_path, ENDINGS, default)
+            if is_wide and chosen != "table":
+                raise BadInput(f"--wide is for tables, and {chosen} has every column without it; leave out --wide")
             # The default of a command that writes Parquet goes to a file of its own.
             if chosen == "parquet" and (is_asked_for or default != "parquet"):
                 refuse_terminal(output_path or Path("-"), "Parquet")
@@ -123,13 +126,9 @@ def form_by_ending(path: Path | None, endings: Mapping[str, str], default: str) 
         from nptrace_base.atomic import is_special
 
         if not is_special(path):
-            known = _or(list(endings))
+            known = listing(list(endings), "or")
             raise BadInput(f"-o {path}: no format has the ending {path.suffix}; end it in {known}, or give --format")
     return default
-
-
-def _or(words: Sequence[str]) -> str:
-    return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def write_tables(

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from nptrace.groups import Command
 from nptrace.output import Output, results_options
 from nptrace.sources import PlaceOf, chosen_sources, traces_option
 from nptrace_base.errors import NptraceError
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from traces.reader import Run
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @results_options()

@@ -9,7 +9,7 @@ import click
 
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import BadInput, Command
-from nptrace.options import ListOf, joined, merged, threads_option
+from nptrace.options import ListOf, joined, listing, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources
@@ -94,9 +94,7 @@ def plot(
             raise BadInput(f"--kind {kind} needs results, of npcache {_WRITTEN_BY[kind]} -o FILE; name that file")
         caches = [name for name in given if name in ("--size", "--assoc")]
         if kind == "distances" and caches:
-            raise BadInput(
-                f"--kind distances shows caches of every size; leave out {' and '.join(caches)}, or name another kind"
-            )
+            raise BadInput(f"--kind distances shows caches of every size; leave out {listing(caches)}, or name another kind")
         usual = _USUAL[kind]
         size = size or [each for text in usual[0].split(",") for each in _sizes(text)]
         cases = Cases(size, assoc or usual[1].split(","), line or [32], prefetch or ["traced"], layout or ["stored"])
