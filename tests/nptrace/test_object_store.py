@@ -155,8 +155,8 @@ def test_a_run_of_other_content_is_kept_there_too(requests):
     again = CliRunner().invoke(cli.nptrace, [*shlex.split(RENDER)[1:], "s3://runs/a", "--name", "x", "--batch", "3"])
     assert again.exit_code == 2 and "s3://runs/a/x-bvh holds another run (of another batch)" in again.stderr
     assert stored() == before
-    run(f"{RENDER} s3://runs/a --name x --seed 3 --overwrite")
-    assert nt.open("s3://runs/a/x-bvh").footer.seed == 3
+    run(f"{RENDER} s3://runs/a --name x --batch 3 --overwrite")
+    assert nt.open("s3://runs/a/x-bvh").footer.batch == 3
     assert len(stored()) == len(before)
 
 
