@@ -49,12 +49,16 @@ class Setting:
 
     def text(self, kind: str) -> str:
         """Return what of it decides a heat map, for its legend."""
-        needs, cache, prefetch = KINDS[kind][1], str(self.config), f"prefetch {self.prefetch}"
-        if needs == "requests" and self.prefetch.trigger:
-            needs = "cache"  # which makes them
-        if needs == "machine":
+        cache, prefetch, needed = str(self.config), f"prefetch {self.prefetch}", needs(kind, self.prefetch)
+        if needed == "machine":
             return f"{cache}, machine {self.clock.name}, prefetch {timed_policy(self.prefetch)}"
-        return {"": "", "requests": prefetch, "cache": f"{cache}, {prefetch}"}[needs]
+        return {"": "", "requests": prefetch, "cache": f"{cache}, {prefetch}"}[needed]
+
+
+def needs(kind: str, prefetch: Prefetch) -> str:
+    """Return what decides a kind: nothing, the requests, a cache, or a machine too."""
+    found = KINDS[kind][1]
+    return "cache" if found == "requests" and prefetch.trigger else found  # which makes the requests
 
 
 class HeatMaps:

@@ -5,6 +5,7 @@ import gc
 import importlib
 import io
 import os
+import re
 import signal
 import sys
 import time
@@ -20,6 +21,9 @@ from nptrace_base.errors import NptraceError
 #: What a full disk says, whose error may not name a file: standard output has none.
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
+
+#: Where a command keeps, in its context, the runs that it found in folders: path -> folder.
+FOUND = "nptrace.found"
 
 #: Exit status of a program that Ctrl-C ended.
 INTERRUPTED = 130
@@ -98,10 +102,20 @@ def _level_option(short: str, long: str, level: int, help: str) -> Any:
     """Return the option that sets how much is said."""
 
     def choose(ctx: click.Context, param: click.Parameter, is_chosen: bool) -> None:
+        if is_chosen and progress.level not in (progress.USUAL, level):
+            raise BadInput("-q asks for less and -v for more than usual; leave one out")
         if is_chosen:
             progress.level = level
 
     return click.option(short, long, is_flag=True, is_eager=True, expose_value=False, callback=choose, help=help)
+
+
+def _way_around(sentence: str, found: Mapping[str, str]) -> str:
+    """Return how to leave out the run that a sentence is about, if it was found in a folder with others."""
+    bad = [path for path in found if re.search(rf"(?<!\S){re.escape(path)}(?![\w-]|\.\w)", sentence)]
+    if len(bad) != 1 or len(found) == 1:
+        return ""
+    return f"; to leave it out, name the other runs, or move it out of {found[bad[0]]}"
 
 
 class Command(click.Command):
@@ -133,6 +147,13 @@ class Command(click.Command):
                 progress.say(f"{name} is now {self._old[name]}; the old spelling will go")
                 args[i] = self._old[name] + equals + value
         return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Refuse options that have no effect beside others; do the work."""
+        from nptrace import ignored
+
+        ignored.check(ctx.params)
+        return super().invoke(ctx)
 
 
 class Commands(click.Group):
@@ -183,7 +204,7 @@ class Commands(click.Group):
         except BrokenPipeError:
             raise  # the reader has enough; click ends quietly
         except NptraceError as e:
-            raise BadInput(str(e)) from e
+            raise BadInput(f"{e}{_way_around(str(e), ctx.meta.get(FOUND, {}))}") from e
         except MemoryError as e:
             reason = f" ({e})" if str(e) else ""
             raise BadInput(f"there is not enough memory{reason}; take a smaller picture, mesh or cache, or fewer rays") from e

@@ -1,7 +1,7 @@
 """Options that several commands share, and the types of their values."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
 from typing import TYPE_CHECKING, Any
@@ -39,6 +39,11 @@ def given(*names: str) -> list[str]:
         str(typed[name]) for name in names
         if context.get_parameter_source(name) not in usual and context.params[name] != ()  # no RUN is typed too
     ]  # fmt: skip
+
+
+def listing(words: Sequence[str], last: str = "and") -> str:
+    """Return words as a part of a sentence: a, b and c."""
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 class ListOf(click.ParamType):

@@ -9,8 +9,9 @@ project's schema (``nptrace_base.records``). Records begin with the columns of a
 """
 
 import io
+import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput
+from nptrace.options import listing
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("table", "csv", "json", "parquet", "markdown", "latex")
 #: The format that the ending of an output file asks for.
-ENDINGS = {".csv": "csv", ".json": "json", ".parquet": "parquet", ".md": "markdown", ".tex": "latex"}
+ENDINGS = {".csv": "csv", ".json": "json", ".parquet": "parquet", ".md": "markdown", ".tex": "latex", ".txt": "table"}
 
 
 @dataclass(frozen=True)
@@ -74,25 +76,24 @@ class Output:
             write_parquet(records, temporary, COLUMNS)
 
 
-def results_options(*more: str, without: Sequence[str] = (), default: str = "table") -> Any:
+def results_options(*more: str, default: str = "table") -> Any:
     """Return a decorator that adds the options of an output, and passes their ``Output`` as ``output``.
 
-    ``more`` are formats that only this command has, ``without`` those that it lacks.
+    ``more`` are formats that only this command has.
     """
-    forms = [form for form in (*FORMATS, *more) if form not in without]
+    forms = [*FORMATS, *more]
 
     def decorate(function: Callable[..., Any]) -> Any:
         @wraps(function)
         def command(form: str | None, as_json: bool, output_path: Path | None, is_wide: bool, **kwargs: Any) -> Any:
             chosen = one_form(form, as_json)
-            is_asked_for = chosen is not None or output_path is not None
-            if chosen is None and output_path is not None:
-                chosen = ENDINGS.get(output_path.suffix)
-            chosen = chosen or default
-            if chosen not in forms:
-                raise BadInput(f"-o {output_path}: these results have no format {chosen}; choose one of {', '.join(forms)}")
-            if chosen == "parquet" and output_path is None and sys.stdout.isatty():
-                raise BadInput("--format parquet is not for a terminal; name a file with -o")
+            is_asked_for = chosen is not None or output_path is not None or (is_wide and default == "table")
+            chosen = chosen or form_by_ending(output_path, ENDINGS, default)
+            if is_wide and chosen != "table":
+                raise BadInput(f"--wide is for tables, and {chosen} has every column without it; leave out --wide")
+            # The default of a command that writes Parquet goes to a file of its own.
+            if chosen == "parquet" and (is_asked_for or default != "parquet"):
+                refuse_terminal(output_path or Path("-"), "Parquet")
             return function(output=Output(chosen, output_path, is_wide, is_asked_for), **kwargs)
 
         for option in (
@@ -114,6 +115,20 @@ def one_form(form: str | None, as_json: bool) -> str | None:
     if as_json and form not in (None, "json"):
         raise BadInput(f"--format {form} and --json ask for two formats; leave one out")
     return "json" if as_json else form
+
+
+def form_by_ending(path: Path | None, endings: Mapping[str, str], default: str) -> str:
+    """Return the format that the ending of an output file asks for; ``default`` where it has none, as stdout and devices."""
+    ending = "" if path is None else path.suffix.lower()
+    if ending in endings:
+        return endings[ending]
+    if path is not None and ending:
+        from nptrace_base.atomic import is_special
+
+        if not is_special(path):
+            known = listing(list(endings), "or")
+            raise BadInput(f"-o {path}: no format has the ending {path.suffix}; end it in {known}, or give --format")
+    return default
 
 
 def write_tables(
@@ -143,8 +158,23 @@ def write_out(text: str, out: Path | None) -> None:
         temporary.write_text(text, encoding="utf-8", errors="surrogateescape")
 
 
-def output_option(*names: str, help: str) -> Any:
-    """Return an option for an output file; whether it can be written is checked before any work is done."""
+def refuse_terminal(path: Path, what: str) -> None:
+    """Raise BadInput if a path leads to a terminal, for ``what`` is bytes that would garble it."""
+    if str(path) == "-":
+        is_terminal = sys.stdout is not None and sys.stdout.isatty()
+    elif is_terminal := path.is_char_device():
+        opened = os.open(path, os.O_WRONLY | os.O_NOCTTY)
+        is_terminal = os.isatty(opened)
+        os.close(opened)
+    if is_terminal:
+        raise BadInput(f"{what} is not for a terminal; name a file, or pipe it to a program")
+
+
+def output_option(*names: str, help: str, binary: str = "") -> Any:
+    """Return an option for an output file; whether it can be written is checked before any work is done.
+
+    ``binary`` says what the file is, if it is no text.
+    """
 
     def checked(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
         if path is not None:
@@ -154,6 +184,8 @@ def output_option(*names: str, help: str) -> Any:
                 check_writable(path)
             except NptraceError as e:
                 raise BadInput(str(e)) from e
+            if binary:
+                refuse_terminal(path, binary)
         return path
 
     return click.option(*names, type=click.Path(path_type=Path, allow_dash=True), callback=checked, help=help)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from nptrace.groups import BadInput
+from nptrace.groups import FOUND, BadInput
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote, place
 
@@ -61,7 +61,14 @@ def chosen_sources(sources: Sequence[Place], folder: Place) -> list[Place]:
     found = find_runs(folder)
     if not found:
         raise NptraceError(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a trace")
+    _keep(found, folder)
     return found
+
+
+def _keep(found: Sequence[Place], folder: Place) -> None:
+    """Remember that runs were found in a folder, and not named one by one."""
+    if context := click.get_current_context(silent=True):
+        context.meta.setdefault(FOUND, {}).update(dict.fromkeys(map(str, found), str(folder)))
 
 
 def _key(path: Place) -> object:
@@ -73,7 +80,9 @@ def _runs_in(folder: Place) -> list[Place]:
     """Return the runs in a folder that holds runs and is none."""
     from traces.reader import find_runs, holds_run
 
-    return [] if holds_run(folder) else find_runs(folder)
+    found = [] if holds_run(folder) else find_runs(folder)
+    _keep(found, folder)
+    return found
 
 
 def again(sources: Sequence[Place], folder: Place, *, needs_run: bool = False) -> str:

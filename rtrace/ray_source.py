@@ -6,6 +6,7 @@ for the shadow rays. Stretches of positions, joined in order, give the accesses 
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +72,8 @@ class RayUnits:
         self._pixels = pixel_order(shooting.order, shooting.width, shooting.height, shooting.seed)
         self._n_pixels = len(self._pixels)
         self.identity = identity_of(footer_of(scene, tree, shooting, ""), run_name(scene, tree.kind, tree.params, shooting))
-        self.key = f"{scene.sha256}\n{command_of(scene, tree, shooting)}"
+        # Counts are kept wherever the mesh lies.
+        self.key = f"{scene.sha256}\n{command_of(scene._replace(source=Path(scene.source).name), tree, shooting)}"
         self.unit = unit_of(shooting)
         self.row = max(shooting.width, self.unit) if shooting.order == "scanline" else self.unit
         self.n_positions = self._n_pixels * (1 if shooting.batch else 2)

@@ -19,6 +19,7 @@ import numpy as np
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 from nptrace_base.pools import thread_pool
+from nptrace_base.shell import word
 from rtrace.camera import Camera, Point, format_camera
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
 from rtrace.counts import Counts
@@ -171,15 +172,15 @@ def command_of(scene: Scene, tree: Tree, shooting: Shooting | RayFile) -> str:
         builder = ["--bvh", ",".join([tree.params["builder"], *given])]
     if node_format.version > 1:
         builder += ["--bvh-nodes", str(node_format.node_bytes)]
-    words = ["nptrace", "render", scene.source, "--accel", node_format.tree]
+    words = ["nptrace", "render", word(scene.source), "--accel", node_format.tree]
     if isinstance(shooting, RayFile):
-        return shlex.join([*words, "--rays", shooting.source, *builder])
-    words += [
+        return " ".join([*words, "--rays", word(shooting.source), *map(shlex.quote, builder)])
+    options = [
         "--pixels", f"{shooting.width}x{shooting.height}",
         "--camera", format_camera(scene.camera), "--light", ",".join(map(repr, scene.light)),
         "--order", shooting.order, "--batch", str(shooting.batch), "--seed", str(shooting.seed), *_knobs(shooting), *builder,
     ]  # fmt: skip
-    return shlex.join(words)
+    return " ".join([*words, *map(shlex.quote, options)])
 
 
 def _knobs(shooting: Shooting) -> list[str]:
@@ -194,7 +195,7 @@ def footer_of(scene: Scene, tree: Tree, shooting: Shooting | RayFile, tool_versi
     return Footer(
         tool_version=tool_version,
         command=command_of(scene, tree, shooting),
-        scene=SceneFacts(scene.name, scene.label, scene.source, scene.sha256, len(scene.triangles), scene.stand_in),
+        scene=SceneFacts(scene.name, scene.label, printable(scene.source), scene.sha256, len(scene.triangles), scene.stand_in),
         camera=CameraFacts(**asdict(scene.camera)),
         light=scene.light,
         **(shooting.facts() if isinstance(shooting, RayFile) else asdict(shooting)),

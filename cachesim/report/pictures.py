@@ -29,8 +29,8 @@ def ending_of(path: Path, endings: Sequence[str]) -> str:
 
     Raises NptraceError for a file of another ending.
     """
-    if path.suffix in endings:
-        return path.suffix
+    if path.suffix.lower() in endings:
+        return path.suffix.lower()
     if is_special(path):
         return endings[0]
     raise NptraceError(f"cannot write {path}: its name must end in {' or '.join(sorted(endings))}")

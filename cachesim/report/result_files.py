@@ -16,10 +16,11 @@ _TEXTS = {name for name, type_ in COLUMNS.items() if type_ is str} | {"prefetch"
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
     """Return the rows of a file of results, with the types that they have in JSON; NptraceError if it is none."""
-    if path.suffix not in ENDINGS:
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
         raise NptraceError(f"{path} is neither a run nor a file of results, which end in {', '.join(ENDINGS)}; name another")
     try:
-        rows = {".parquet": _parquet, ".csv": _csv, ".json": _json}[path.suffix](path)
+        rows = {".parquet": _parquet, ".csv": _csv, ".json": _json}[ending](path)
     except (ValueError, LookupError, TypeError, AttributeError) as e:  # Arrow's errors are among them
         raise NptraceError(f"{path} cannot be read ({(str(e) or type(e).__name__).splitlines()[0]}); write it again") from e
     if not rows or not all(isinstance(row, dict) and row.get("run") for row in rows):

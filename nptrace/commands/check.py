@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput, Command
+from nptrace.ignored import refuse
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
@@ -47,6 +48,12 @@ def check(
         raise BadInput("name a scene to compare with Embree, or give --hard")
     if names and hard:
         raise BadInput(f"--hard brings its own scenes, and its rows are not those of {names[0]}; run one at a time")
+    if hard:
+        refuse("--hard brings its own scenes and rays", "pixels", "n_random", "seed", "strict", "offline")
+    else:
+        refuse("--long is a form of --hard", "is_long", way=", or give --hard and no scene")
+    if n_random == 0:
+        refuse("there are no random rays", "seed")
     width, height = parse_size(pixels)
     began = time.perf_counter()
     rows: list[dict[str, Any]] = []

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import click
 
+from nptrace.groups import Command
 from nptrace.output import Output, results_options
 from nptrace.progress import done
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("summaries", metavar="SUMMARY...", nargs=-1, type=click.Path(path_type=Path))
 @results_options("dinero")
 def combine(summaries: tuple[Path, ...], output: Output) -> None:

@@ -29,7 +29,7 @@ from nptrace_base.places import Place
 )
 @threads_option()
 @workers_options
-@output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
+@output_option("--plot", "picture", binary="a picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()
 def compare(
     sources: tuple[Place, ...], folder: Place, machines: Machines, prefetch: list[str], layout: str, baselines: bool,

@@ -4,12 +4,13 @@ import time
 
 import click
 
+from nptrace.groups import Command
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
 from nptrace_base import compiling
 
 
-@click.command(name="compile")
+@click.command(name="compile", cls=Command)
 @results_options()
 def compile_(output: Output) -> None:
     """Compile all kernels now instead of at the first use of each command; they are kept until the program changes."""

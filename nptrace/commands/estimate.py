@@ -9,15 +9,15 @@ import click
 
 from cachesim.config import parse_bytes
 from nptrace.estimates import Sampling, estimate_scenes
-from nptrace.groups import BadInput
-from nptrace.options import Caches, gathered, given, list_option, size_option, threads_option, ways_option
+from nptrace.groups import BadInput, Command
+from nptrace.options import Caches, gathered, given, list_option, listing, size_option, threads_option, ways_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import done
 from nptrace.scene_options import Picture, Scenes, Trees, ray_options, scene_options, tree_options
 from nptrace.sources import LAYOUT_HELP
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("names", metavar="SCENE...", nargs=-1, required=True)
 @tree_options
 @size_option()
@@ -37,7 +37,9 @@ from nptrace.sources import LAYOUT_HELP
 )  # fmt: skip
 @threads_option()
 @scene_options
-@output_option("--resume", help="Keep the counts in this file, and continue from it if it exists.")
+@output_option(
+    "--resume", binary="what an estimate keeps", help="Keep the counts in this file, and continue from it if it exists."
+)
 @results_options()
 @gathered("scenes", Scenes)
 @gathered("trees", Trees)
@@ -68,7 +70,7 @@ def estimate(
     layouts = list(dict.fromkeys(str(parse_layout(text)) for text in layout))
     if is_table1:
         if others := given("size", "ways", "line"):
-            raise BadInput(f"--table1 has the caches of Table I; leave out {' and '.join(others)}, or --table1")
+            raise BadInput(f"--table1 has the caches of Table I; leave out {listing(others)}, or --table1")
         configs = [replace(each, policy=one) for one in caches.policy for each in table1.caches()]
     else:
         configs = caches.configs()

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from nptrace.groups import BadInput, Command
-from nptrace.output import output_option
+from nptrace.output import form_by_ending, output_option, refuse_terminal
 from nptrace.progress import Progress, done, say
 from nptrace.sources import PlaceOf
 from nptrace_base.places import Place
@@ -44,10 +44,11 @@ def export(run: Place, form: str | None, binary: bool, prefetch: str, output: Pa
     from traces.format import printable
     from traces.reader import open_run
 
-    ending = output.suffix.lower().removeprefix(".") if output is not None else ""
-    form = form or (ending if ending in FORMS else "din")
+    form = form or form_by_ending(output, {f".{each}": each for each in FORMS}, "din")
     if binary and form != "din":
         raise BadInput(f"--binary is a form of DineroIV's traces, and {form} has none; leave it out")
+    if binary or form == "parquet":
+        refuse_terminal(output or Path(), "a trace in binary records" if binary else "Parquet")
     opened, began = open_run(run), time.perf_counter()
     target = output or Path(f"{opened.name}.{form}")
     with Progress(1) as bar:

@@ -28,7 +28,7 @@ from nptrace_base.places import place
     help="Folder for the runs and the finished parts; the same command goes on where it stopped.",
 )  # fmt: skip
 @threads_option()
-@output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
+@output_option("--plot", "picture", binary="a picture", help="Write a plot as .png, .svg or .pdf.")
 @scene_options
 @results_options()
 def map_(

@@ -9,7 +9,7 @@ import click
 
 from cachesim.config import CacheConfig, parse_bytes, parse_ways
 from nptrace.groups import BadInput, Command
-from nptrace.options import ListOf, joined, merged, threads_option
+from nptrace.options import ListOf, joined, listing, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources
@@ -55,7 +55,7 @@ def _sizes(text: str) -> list[int]:
 @_list("--prefetch", item=str, metavar="POLICIES", help="prefetch policies, as in npcache replay.")
 @_list("--layout", item=str, metavar="LAYOUTS", help=LAYOUT_HELP[0].lower() + LAYOUT_HELP[1:])
 @threads_option()
-@output_option("-o", "--output", "path", help="The picture: .png, .svg or .pdf; - is stdout.")
+@output_option("-o", "--output", "path", binary="a picture", help="The picture: .png, .svg or .pdf; - is stdout.")
 def plot(
     sources: tuple[Place, ...], kind: str | None, size: list[int], assoc: list[str], line: list[int], prefetch: list[str],
     layout: list[str], threads: int, path: Path | None,
@@ -78,7 +78,7 @@ def plot(
     if path is None:
         raise BadInput("name the picture with -o, for instance -o plot.png")
     check_plot(path)
-    of_runs = [source for source in sources if isinstance(source, Remote) or source.is_dir() or source.suffix == ".din"]
+    of_runs = [each for each in sources if isinstance(each, Remote) or each.is_dir() or each.suffix.lower() == ".din"]
     given = [name for name, value in (("--size", size), ("--assoc", assoc), ("--line", line), ("--prefetch", prefetch),
                                       ("--layout", layout)) if value]  # fmt: skip
     if of_runs and len(of_runs) < len(sources):
@@ -94,9 +94,7 @@ def plot(
             raise BadInput(f"--kind {kind} needs results, of npcache {_WRITTEN_BY[kind]} -o FILE; name that file")
         caches = [name for name in given if name in ("--size", "--assoc")]
         if kind == "distances" and caches:
-            raise BadInput(
-                f"--kind distances shows caches of every size; leave out {' and '.join(caches)}, or name another kind"
-            )
+            raise BadInput(f"--kind distances shows caches of every size; leave out {listing(caches)}, or name another kind")
         usual = _USUAL[kind]
         size = size or [each for text in usual[0].split(",") for each in _sizes(text)]
         cases = Cases(size, assoc or usual[1].split(","), line or [32], prefetch or ["traced"], layout or ["stored"])

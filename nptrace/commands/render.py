@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from nptrace.groups import Command
+from nptrace.ignored import refuse
 from nptrace.options import gathered, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, size_text
@@ -78,6 +79,8 @@ def render(
     check_run_names(run_names, len(scenes.names) * max(len(scenes.cameras), 1))
     shooting: Shooting | RayFile = picture.shooting()
     if ray_file is not None:
+        of_picture = "pixels", "cameras", "light", "order", "batch", "seed", "packet", "shadow", "shadow_order", "shadow_end"
+        refuse(f"--rays {ray_file} brings its own rays, and has no picture", *of_picture)
         shooting = own_rays(ray_file, picture.shooting(), scenes.views)
     params, seen = trees.params(), scenes.load()
     with engine_of(workers, scheduler) as engine, Progress(len(seen) * len(params)) as bar:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.clock_options import Machines, machine_options, machine_sources
+from nptrace.commands.info import command_of
 from nptrace.commands.view import picture_of
 from nptrace.groups import BadInput, Command
 from nptrace.options import threads_option
@@ -236,5 +237,5 @@ def _facts(run: "Run") -> dict[str, str]:
         "picture": ", ".join([f"{of.pixels} pixels, order {of.order}, batch {of.batch}", *of.knobs]), "camera": str(of.camera),
         "rays": f"{footer.n_rays:,}", "events": f"{footer.n_accesses:,} node reads and prefetch requests",
         "file": str(footer.scene.source), "SHA-256": str(footer.scene.sha256), "written by": f"nptrace {footer.tool_version}",
-        "again": footer.command,
+        "again": command_of(run),
     }  # fmt: skip

@@ -2,10 +2,11 @@
 
 import click
 
+from nptrace.groups import Command
 from nptrace.output import Output, results_options
 
 
-@click.command()
+@click.command(cls=Command)
 @results_options()
 def scenes(output: Output) -> None:
     """List the scenes known by name: size, where each is found, and licence."""

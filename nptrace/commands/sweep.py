@@ -24,7 +24,7 @@ from nptrace_base.places import Place
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @threads_option()
 @workers_options
-@output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
+@output_option("--plot", "picture", binary="a picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options(default="csv")
 def sweep(
     sources: tuple[Place, ...], folder: Place, size: list[str], ways: list[tuple[str, ...]], line: list[int],

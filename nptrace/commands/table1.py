@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import click
 
 from nptrace.estimates import Sampling, estimate_scenes
-from nptrace.groups import BadInput
-from nptrace.options import gathered, given, threads_option, workers_options
+from nptrace.groups import BadInput, Command
+from nptrace.options import gathered, given, listing, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
@@ -35,7 +35,7 @@ class Acpr:
         return Equation(self.hit, self.miss, parse_n(self.n))
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @click.option(
@@ -92,20 +92,20 @@ def table1(
             "sources", "folder", "error", "pixels", "seed", "policy", "layout", "workers", "scheduler"
         )  # fmt: skip
         if others:
-            raise BadInput(f"--preset {preset} has its own pictures, caches and layouts; leave out {_and(others)}")
+            raise BadInput(f"--preset {preset} has its own pictures, caches and layouts; leave out {listing(others)}")
         table1_of_preset(preset, numbers, threads, output)
         return
     if error is not None:
         if runs := given("sources", "folder"):
-            raise BadInput(f"--target-error traces the four scenes itself; leave out {_and(runs)}, or --target-error")
+            raise BadInput(f"--target-error traces the four scenes itself; leave out {listing(runs)}, or --target-error")
         if others := given("n", "hit", "miss"):
-            raise BadInput(f"--target-error has the paper's equation; leave out {_and(others)}, or give runs")
+            raise BadInput(f"--target-error has the paper's equation; leave out {listing(others)}, or give runs")
         if others := given("workers", "scheduler"):
-            raise BadInput(f"--target-error has threads alone; leave out {_and(others)}, or give runs")
+            raise BadInput(f"--target-error has threads alone; leave out {listing(others)}, or give runs")
         estimated_table1(Sampling(error, threads=threads), Picture(pixels=pixels, seed=seed), policy, layout, output)
         return
     if others := given("pixels", "seed"):
-        raise BadInput(f"runs have their own pictures; leave out {_and(others)}, or estimate the table with --target-error")
+        raise BadInput(f"runs have their own pictures; leave out {listing(others)}, or estimate the table with --target-error")
     chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
     began = time.perf_counter()
     with engine_of(workers, scheduler) as engine, Progress() as bar:
@@ -114,11 +114,6 @@ def table1(
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
     done(f"{len(chosen)} runs, {len(rows)} caches", began, f"npcache compare {again(sources, folder)}".rstrip())
-
-
-def _and(options: list[str]) -> str:
-    """Return options as a part of a sentence."""
-    return " and ".join(filter(None, [", ".join(options[:-1]), options[-1]]))
 
 
 def table1_of_preset(name: str, equation: "Equation", threads: int, output: Output) -> None:

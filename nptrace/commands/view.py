@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from cachesim.clock.parameters import NUMBERS
 from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.groups import BadInput, Command
-from nptrace.options import ListOf, merged, threads_option
+from nptrace.ignored import refuse
+from nptrace.options import ListOf, given, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, policies
@@ -49,7 +51,9 @@ def parse_kind(text: str) -> str:
 @click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=PREFETCH_HELP)
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @threads_option()
-@output_option("-o", "--output", "path", help="The picture: .png; heat maps also .svg and .pdf; - is stdout.")
+@output_option(
+    "-o", "--output", "path", binary="a picture", help="The picture: .png; heat maps also .svg and .pdf; - is stdout."
+)
 def view(
     sources: tuple[Place, ...], kinds: list[str], difference: bool, enlarge: int | None, machines: Machines, prefetch: str,
     layout: str, threads: int, path: Path | None,
@@ -79,6 +83,7 @@ def view(
             f"view takes one cache and one machine, and the options ask for {len(machines.configs)} and "
             f"{len(machines.clocks)}; leave the others out"
         )
+    _check_used(kinds, prefetch)
     runs = [open_run(each) for each in chosen_sources(sources, Path())]
     if difference:
         _check_difference(runs, kinds)
@@ -91,6 +96,26 @@ def view(
         check_plot(path)
         size = _draw(runs, kinds or ["picture"], machines, prefetch, layout, path, difference, enlarge, threads)
     done(f"{path}: {size[0]} x {size[1]} pixels", began)
+
+
+def _check_used(kinds: Sequence[str], prefetch: str) -> None:
+    """Raise BadInput for an option of a cache, a machine or a policy that none of the kinds depends on."""
+    of_cache = "machine", "size", "ways", "line", "policy", "seed", "layout"
+    options = (*of_cache, *NUMBERS, "prefetch")
+    if not set(kinds) - {"picture"}:
+        refuse("pictures depend on no cache, machine or policy", *options, way=", or name what to show with --heat")
+    if given(*options):
+        from cachesim.heat import KINDS, needs
+        from cachesim.prefetch import parse_prefetch
+
+        policy, shown = parse_prefetch(prefetch), f"--heat {','.join(kinds)}"
+        needed = {needs(kind, policy) for kind in kinds if kind in KINDS}
+        if not needed & {"requests", "cache", "machine"}:
+            refuse(f"{shown} depends on no policy", "prefetch")
+        if not needed & {"cache", "machine"}:
+            refuse(f"{shown} depends on no cache", *of_cache, *NUMBERS)
+        if "machine" not in needed:
+            refuse(f"{shown} depends on no machine, but on its cache alone", *NUMBERS)
 
 
 def _usual_path(runs: "Sequence[Run]", kinds: Sequence[str]) -> Path:

@@ -213,7 +213,7 @@ def load_scene(
         return stand_in(name)
     path = Path(name)
     if path.suffix.lower() in READERS or os.path.exists(name) or os.sep in name:
-        return load_mesh(path, strict=strict)
+        return load_mesh(path, strict=strict)._replace(source=str(path))
     known = [*CATALOG, *STAND_INS]
     near = difflib.get_close_matches(name, known, 1)
     meant = f"did you mean {near[0]}?" if near else "give one of those or a mesh file"

@@ -152,11 +152,11 @@ def test_workers_write_into_the_store(requests, tmp_path):
 def test_a_run_of_other_content_is_kept_there_too(requests):
     run(f"{RENDER} s3://runs/a --name x")
     before = stored()
-    again = CliRunner().invoke(cli.nptrace, [*shlex.split(RENDER)[1:], "s3://runs/a", "--name", "x", "--seed", "3"])
-    assert again.exit_code == 2 and "s3://runs/a/x-bvh holds another run (of another seed)" in again.stderr
+    again = CliRunner().invoke(cli.nptrace, [*shlex.split(RENDER)[1:], "s3://runs/a", "--name", "x", "--batch", "3"])
+    assert again.exit_code == 2 and "s3://runs/a/x-bvh holds another run (of another batch)" in again.stderr
     assert stored() == before
-    run(f"{RENDER} s3://runs/a --name x --seed 3 --overwrite")
-    assert nt.open("s3://runs/a/x-bvh").footer.seed == 3
+    run(f"{RENDER} s3://runs/a --name x --batch 3 --overwrite")
+    assert nt.open("s3://runs/a/x-bvh").footer.batch == 3
     assert len(stored()) == len(before)
 
 
