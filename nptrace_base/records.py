@@ -15,6 +15,9 @@ from typing import Any
 #: Raised when a key of the JSON output gets another meaning or goes; a new key does not count.
 SCHEMA_VERSION = 1
 
+#: Largest seed, which a column of whole numbers holds.
+MAX_SEED = (1 << 63) - 1
+
 _AT_A_TIME = 1 << 16  # records of which Arrow makes columns: a sequence may make its records when they are asked for
 
 Record = Mapping[str, Any]
