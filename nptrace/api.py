@@ -339,7 +339,10 @@ def estimate(
     found = [result for *_, result in estimate_scenes(
         seen, trees, configs, Picture(pixels_text(pixels), order, batch, seed), sampling, layouts
     )]  # fmt: skip
-    return Results("estimate", estimate_tables.records(found, "json"), lambda: estimate_tables.tables(found))
+    return Results(
+        "estimate", estimate_tables.records(found, "json"), lambda: estimate_tables.tables(found),
+        lambda: estimate_tables.flat(found),
+    )  # fmt: skip
 
 
 @checked(policy=text("fifo"), layout=text("veb"), hit=whole(1, 1), miss=whole(1, 100))
