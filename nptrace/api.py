@@ -12,6 +12,7 @@ from nptrace.plans import Given, MachineOptions, estimate_plan, listed, machines
 from nptrace.progress import Progress
 from nptrace.results import Results
 from nptrace.studies import Where
+from nptrace.values import checked, pixels_text, text, whole
 from nptrace_base.engines import engine_of
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote, place
@@ -24,12 +25,14 @@ if TYPE_CHECKING:
 
 #: Runs, and places of runs, folders of runs or traces.
 Sources = Where | Iterable[Where]
+#: The size of a picture, "640x480" or (640, 480).
+Pixels = str | tuple[int, int]
 
 
 class RenderOptions(TypedDict, total=False):
     """The options of ``render`` that do not decide how many runs it makes."""
 
-    pixels: str
+    pixels: Pixels
     light: str | None
     order: str
     batch: int
@@ -65,8 +68,9 @@ def render(
 ) -> list[Run]: ...  # fmt: skip
 
 
+@checked()
 def render(
-    *scenes: "str | Path | Scene", accel: Given = (), pixels: str = "128x128", camera: str | Sequence[str] | None = None,
+    *scenes: "str | Path | Scene", accel: Given = (), pixels: Pixels = "128x128", camera: str | Sequence[str] | None = None,
     light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, packet: int = 1, shadow: str = "lit",
     shadow_order: str = "sign", shadow_end: str = "stop", kd: str = "", bvh: str = "sweep", bvh_nodes: Given = 32,
     rays: Path | str | None = None, out: Place | str = "traces", name: str | Sequence[str] = (), overwrite: bool = False,
@@ -122,7 +126,8 @@ def render(
         raise NptraceError(f"order: {order!r} is not one of {', '.join(ORDERS)}")
     check_run_names(names, len(scenes) * max(len(cameras), 1))
     shooting: Shooting | RayFile
-    shooting = picture = Shooting(*parse_size(pixels), order, batch, seed, packet, shadow, shadow_order, shadow_end)
+    sides = parse_size(pixels_text(pixels))
+    shooting = picture = Shooting(*sides, order, batch, seed, packet, shadow, shadow_order, shadow_end)
     if rays is not None:
         shooting = own_rays(Path(rays), picture, [*cameras, *([light] if light else [])])
     params = tree_params(trees, kd, bvh, sizes)
@@ -137,11 +142,13 @@ def render(
     return runs[0] if is_single else runs
 
 
+@checked()
 def open(path: Place | str) -> Run:
     """Open a run, on disk or at an address such as s3://bucket/run; NptraceError if it is none, or damaged."""
     return open_run(path)
 
 
+@checked()
 def replay(
     sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", reads: str = "own",
@@ -203,6 +210,7 @@ def replay(
     return Results("replay", [each.to_dict() for each in results], lambda: replay_tables.tables(results))
 
 
+@checked()
 def sweep(
     sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "4K..64K", ways: Given = "1",
     line: Given = "32", prefetch: Given = "traced", layout: Given = "stored", threads: int | None = None,
@@ -223,6 +231,7 @@ def sweep(
     return Results("sweep", [row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
 
 
+@checked()
 def time(
     sources: Sources = (), /, *, traces: Place | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "stack", layout: Given = "stored",
@@ -257,6 +266,7 @@ def time(
     return Results("time", [each.to_dict() for each in found], lambda: timing_tables.tables(found))
 
 
+@checked(layout=text("veb"))
 def compare(
     sources: Sources = (), /, *, traces: Place | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "all", layout: str = "stored",
@@ -281,10 +291,11 @@ def compare(
     return Results("compare", [row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
 
 
+@checked()
 def estimate(
     *scenes: "str | Path | Scene", accel: Given = (), size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", layout: Given = "stored", is_table1: bool = False, target_error: str = "2%,0.05pp",
-    exact_below: int = 100_000_000, resume: Path | str | None = None, pixels: str = "2048x2048",
+    exact_below: int = 100_000_000, resume: Path | str | None = None, pixels: Pixels = "2048x2048",
     camera: str | Sequence[str] | None = None, light: str | None = None, order: str = "scanline", batch: int = 1,
     seed: int = 0, kd: str = "", bvh: str = "sweep", bvh_nodes: Given = 32, threads: int | None = None,
     strict: bool = False, offline: bool = False,
@@ -326,11 +337,15 @@ def estimate(
     named = [str(each) if isinstance(each, Path) else each for each in scenes]
     seen = load_scenes(named, strict, offline, cameras, light)
     found = [result for *_, result in estimate_scenes(
-        seen, trees, configs, Picture(pixels, order, batch, seed), sampling, layouts
+        seen, trees, configs, Picture(pixels_text(pixels), order, batch, seed), sampling, layouts
     )]  # fmt: skip
-    return Results("estimate", estimate_tables.records(found, "json"), lambda: estimate_tables.tables(found))
+    return Results(
+        "estimate", estimate_tables.records(found, "json"), lambda: estimate_tables.tables(found),
+        lambda: estimate_tables.flat(found),
+    )  # fmt: skip
 
 
+@checked(policy=text("fifo"), layout=text("veb"), hit=whole(1, 1), miss=whole(1, 100))
 def table1(
     sources: Sources = (), /, *, traces: Place | str = "traces", preset: str | None = None, policy: str = "lru",
     layout: str = "stored", n: str = "paper", hit: int = 1, miss: int = 100, workers: "int | Executor" = 0,
@@ -354,9 +369,6 @@ def table1(
     from nptrace.studies import preset_rows, table1_notes, table1_rows, table1_runs
     from nptrace.table1_study.presets import PRESETS, note
 
-    for name, cycles in (("hit", hit), ("miss", miss)):
-        if not (type(cycles) is int and cycles >= 1):
-            raise NptraceError(f"{name}: {cycles!r} is no number of cycles; write a whole number from 1")
     equation = table.Equation(hit, miss, table.parse_n(n))
     if preset is not None:
         if preset not in PRESETS:

@@ -11,7 +11,7 @@ import click
 from cachesim.clock.parameters import NUMBERS, PRESETS, Clock, parse_preset
 from cachesim.config import CacheConfig, parse_bytes
 from cachesim.grid import caches, parse_sizes, parse_ways_range
-from nptrace.options import ListOf, joined, list_option, merged
+from nptrace.options import ListOf, joined, list_option, merged, seed_option
 from nptrace_base.errors import NptraceError
 
 
@@ -43,7 +43,7 @@ def machine_options(function: Callable[..., Any]) -> Any:
 
     for name, (meaning, _, _) in reversed(NUMBERS.items()):
         command = _list(f"--{name}", parse_number, "N", f"{meaning[0].upper()}{meaning[1:]}.")(command)
-    command = click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")(command)
+    command = seed_option("Seed of random replacement.")(command)
     command = list_option(
         "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo or random."
     )(command)  # fmt: skip

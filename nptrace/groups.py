@@ -1,6 +1,5 @@
 """The two groups of commands: an error of an input becomes one sentence, Ctrl-C ends a program at once."""
 
-import errno
 import gc
 import importlib
 import io
@@ -15,12 +14,9 @@ from typing import Any
 import click
 
 from nptrace import __version__, progress
+from nptrace.trouble import trouble
 from nptrace_base import compiling
 from nptrace_base.errors import NptraceError
-
-#: What a full disk says, whose error may not name a file: standard output has none.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-
 
 #: Where a command keeps, in its context, the runs that it found in folders: path -> folder.
 FOUND = "nptrace.found"
@@ -209,6 +205,6 @@ class Commands(click.Group):
             reason = f" ({e})" if str(e) else ""
             raise BadInput(f"there is not enough memory{reason}; take a smaller picture, mesh or cache, or fewer rays") from e
         except OSError as e:
-            if e.filename is None and e.errno not in _FULL:
+            if (sentence := trouble(e)) is None:
                 raise
-            raise BadInput(f"{e.filename or 'standard output'}: {e.strerror}; name another file or folder") from e
+            raise BadInput(sentence) from e

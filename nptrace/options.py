@@ -1,6 +1,7 @@
 """Options that several commands share, and the types of their values."""
 
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
@@ -60,6 +61,26 @@ class ListOf(click.ParamType):
             return [self._item(text) for text in value.split(",")]
         except NptraceError as e:
             raise BadInput(f"{param.opts[0]}: {e}" if param else str(e)) from e
+
+
+class _Seed(click.ParamType):
+    """A seed, which a column of a Parquet file holds."""
+
+    name = "integer"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Return the number that a text names."""
+        from nptrace_base.records import MAX_SEED
+
+        text = str(value).strip()
+        if not (re.fullmatch("[0-9]{1,19}", text) and int(text) <= MAX_SEED):
+            raise BadInput(f"--seed: {text!r} is not a whole number from 0 to 2^63 - 1; write e.g. --seed 1")
+        return int(text)
+
+
+def seed_option(help: str) -> Any:
+    """Return the option for the seed of something random."""
+    return click.option("--seed", type=_Seed(), default=0, show_default=True, help=help)
 
 
 def joined(ctx: click.Context, param: click.Parameter, values: tuple[list[list[Any]], ...]) -> list[Any]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar, Unpack
 
+from nptrace.values import OptionError
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -32,14 +33,6 @@ class MachineOptions(TypedDict, total=False):
     triangle: Given
     every: Given
     units: Given
-
-
-class OptionError(NptraceError):
-    """A wrong value of the option ``name``."""
-
-    def __init__(self, name: str, sentence: object) -> None:
-        super().__init__(f"{name}: {sentence}")
-        self.name = name
 
 
 Plan = tuple[list["CacheConfig"], list[str], list[str]]

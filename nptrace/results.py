@@ -5,11 +5,16 @@ import io
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from html import escape
-from typing import Any
+from pathlib import Path
+from typing import Any, overload
 
+from nptrace.trouble import trouble
+from nptrace.values import PATH
 from nptrace_base.errors import NptraceError
 from nptrace_base.records import Record
 from nptrace_base.records import to_arrow as arrow_of
+from nptrace_base.records import to_csv as csv_of
+from nptrace_base.records import to_json as json_of
 from nptrace_base.tables import Table, print_tables
 from traces.identity import COLUMNS
 
@@ -23,8 +28,11 @@ class Results:
     Anything that reads Arrow takes it as it is, such as ``duckdb.sql("SELECT * FROM results")``.
     """
 
-    def __init__(self, what: str, records: Sequence[Record], make_tables: Callable[[], Made]) -> None:
-        self._what, self._records, self._make_tables = what, records, make_tables
+    def __init__(
+        self, what: str, records: Sequence[Record], make_tables: Callable[[], Made],
+        make_flat: Callable[[], Sequence[Record]] | None = None,
+    ) -> None:  # fmt: skip
+        self._what, self._records, self._make_tables, self._make_flat = what, records, make_tables, make_flat
 
     def __len__(self) -> int:
         return len(self._records)
@@ -35,13 +43,61 @@ class Results:
     def __getitem__(self, i: int) -> Record:
         return self._records[i]
 
+    @property
+    def _flat(self) -> Sequence[Record]:
+        """The rows as tables of all kinds hold them: of an estimate, one per cache."""
+        return self._records if self._make_flat is None else self._make_flat()
+
     @cached_property
     def _table(self) -> Any:
-        return arrow_of(self._records, COLUMNS)
+        return arrow_of(self._flat, COLUMNS)
 
     def to_arrow(self) -> Any:
-        """Return a pyarrow.Table, one row per result; every call returns the same one."""
+        """Return a pyarrow.Table, one row per result, of an estimate one per cache; every call returns the same one.
+
+        Its metadata have the ``schema_version`` of docs/results.schema.json.
+        """
         return self._table
+
+    @overload
+    def to_csv(self, path: None = None) -> str: ...
+
+    @overload
+    def to_csv(self, path: Path | str) -> None: ...
+
+    def to_csv(self, path: Path | str | None = None) -> str | None:
+        """Write the rows as the command does with ``-o path``; without a path, return the text.
+
+        The file is written whole or not at all; NptraceError if it cannot be.
+        """
+        return self._written("csv", self._flat, path)
+
+    @overload
+    def to_json(self, path: None = None) -> str: ...
+
+    @overload
+    def to_json(self, path: Path | str) -> None: ...
+
+    def to_json(self, path: Path | str | None = None) -> str | None:
+        """Write the rows as ``to_csv`` does, as JSON of docs/results.schema.json."""
+        return self._written("json", self._records, path)
+
+    def to_parquet(self, path: Path | str) -> None:
+        """Write the rows as ``to_csv`` does, as Parquet."""
+        self._written("parquet", self._flat, path)
+
+    def _written(self, form: str, records: Sequence[Record], path: Path | str | None) -> str | None:
+        from nptrace.output import Output
+
+        if path is None and form != "parquet":
+            return {"csv": csv_of, "json": json_of}[form](records)
+        try:
+            Output(form, Path(PATH.read("path", path))).write(records, self._make_tables)
+        except OSError as e:
+            if (sentence := trouble(e)) is None:
+                raise
+            raise NptraceError(sentence) from e
+        return None
 
     def __arrow_c_stream__(self, requested_schema: Any = None) -> Any:
         return self._table.__arrow_c_stream__(requested_schema)

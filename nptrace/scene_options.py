@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from nptrace.options import ListOf, merged
+from nptrace.options import ListOf, merged, seed_option
 from nptrace.progress import Progress, say
 from nptrace_base.errors import NptraceError
 
@@ -249,10 +249,7 @@ def ray_options(pixels: str) -> Any:
                 "--batch", type=click.IntRange(0), default=1, show_default=True,
                 help="Primary rays traced before their shadow rays; 0 means all of them.",
             ),
-            click.option(
-                "--seed", type=click.IntRange(0), default=0, show_default=True,
-                help="Seed of the random order, and of a sample.",
-            ),
+            seed_option("Seed of the random order, and of a sample."),
         )):  # fmt: skip
             command = option(command)
         return command

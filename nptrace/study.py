@@ -8,19 +8,20 @@ stopped.
 import hashlib
 import inspect
 import json
-import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date, time
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nptrace import api, plans
-from nptrace.plans import OptionError, listed
+from nptrace import api, plans, values
+from nptrace.plans import listed
 from nptrace.progress import Progress
 from nptrace.scene_options import load_scenes, parse_tree, tree_params
+from nptrace.values import OptionError
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
 from nptrace_base.sources import digest_of
@@ -37,6 +38,9 @@ Record = dict[str, Any]
 TOP = {"out": "traces"}
 #: The options of packets and of shadow rays, in the order of ``Shooting``.
 KNOBS = "packet", "shadow", "shadow_order", "shadow_end"
+#: The options of render whose lists make every combination, and those that a file has in another form than Python.
+COMBINED = ("scenes", "pixels", "order", "batch", *KNOBS, "kd", "bvh")
+KINDS = {"pixels": values.text("64x64"), "scenes": values.SCENE_NAME}
 #: The options of replay that choose no caches, policies or layouts.
 HOW = ("three_c", "reads", "flush")
 #: The tables of stage 2, and the keys of their functions that a study has no use for.
@@ -63,8 +67,7 @@ class Study:
         of = self.render
         trees, nodes = listed("accel", of["accel"], parse_tree), listed("bvh_nodes", of["bvh_nodes"], str)
         found: dict[str, tuple[Shooting, dict[str, dict[str, Any]]]] = {}
-        names = ("pixels", "order", "batch", *KNOBS, "kd", "bvh")
-        for pixels, order, batch, *knobs, kd, bvh in product(*(_several(of[name]) for name in names)):
+        for pixels, order, batch, *knobs, kd, bvh in product(*(_several(of[name]) for name in COMBINED[1:])):
             shooting = Shooting(*parse_size(pixels), order, batch, of["seed"] if order == "random" else 0, *knobs)
             for kind, given in tree_params(trees, kd, bvh, nodes).items():
                 shooting.check_format(kind)
@@ -76,17 +79,15 @@ def read_study(path: Path) -> Study:
     """Read and check a study; NptraceError names the file and the line of what is wrong."""
     try:
         text = path.read_text(encoding="utf-8")
-        values = tomllib.loads(text)
+        found = tomllib.loads(text)
     except OSError as e:
         raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML (docs/study.toml is one)") from e
-    except ValueError as e:  # not TOML, or not UTF-8
+    except (ValueError, RecursionError) as e:  # not TOML, not UTF-8, or thousands of brackets
         raise NptraceError(f"{path} is no TOML: {e}; see https://toml.io, or docs/study.toml") from e
     where = _Lines(path, text)
-    tables = {name: value for name, value in values.items() if isinstance(value, dict)}
-    plain = {name: value for name, value in values.items() if name not in tables}
-    where.check_names("", values, [*TOP, "render", *SECTIONS])
-    if not isinstance(plain.get("out", ""), str):
-        raise where.error("", "out", f'out is {plain["out"]!r}, and no folder; write e.g. out = "traces"')
+    tables = {name: value for name, value in found.items() if isinstance(value, dict)}
+    plain = {name: value for name, value in found.items() if name not in tables}
+    where.check_names("", found, [*TOP, "render", *SECTIONS])
     for name in ("render", *SECTIONS):
         if name in plain:
             raise where.error("", name, f"{name} is a table; write [{name}] and its keys below it")
@@ -99,8 +100,9 @@ def read_study(path: Path) -> Study:
         name: _checked(where, name, tables[name], {**_defaults(name), **(dict.fromkeys(_numbers()) if name == "time" else {})})
         for name in SECTIONS if name in tables
     }  # fmt: skip
+    given = _checked(where, "", {name: value for name, value in found.items() if name in TOP}, TOP)
     with where.of("", "out"):
-        out = place(plain.get("out", TOP["out"]))
+        out = place(given["out"])
     if not isinstance(out, Path):
         raise where.error("", "out", f"out is {out}, and a study keeps rows beside its runs; name a folder of this machine")
     study = Study(path, out, render, sections)
@@ -122,25 +124,30 @@ def _defaults(function: str) -> dict[str, Any]:
 
 
 def _checked(where: "_Lines", table: str, given: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a table; each is one text, number or truth value as its default is, or a list of them."""
+    """Return the values of a table: each of the kind of its option, or a list of such where every combination is made."""
     where.check_names(table, given, defaults)
+    found = dict(defaults)
     for name, value in given.items():
-        usual = defaults[name]
-        items = value if isinstance(value, list) else [value]
-        if not items and name != "camera":
-            raise where.error(table, name, f"{table}.{name} is an empty list; name something, or leave the key out")
-        for item in items:
-            if isinstance(usual, bool) != isinstance(item, bool) or not isinstance(item, (str, int)):
-                kind = "true or false" if isinstance(usual, bool) else "a text or a whole number, or a list of them"
-                raise where.error(table, name, f"{table}.{name} is {item!r}, and not {kind}")
-        single = isinstance(usual, bool) or name in ("seed", "light", "machine")
-        if single and isinstance(value, list):
-            raise where.error(table, name, f"{table}.{name} is one value, and no list; write {table}.{name} = {items[0]!r}")
-        if name in ("seed", "batch", "packet") and not all(isinstance(item, int) and item >= 0 for item in items):
-            raise where.error(table, name, f"{table}.{name} is {value!r}, and no whole number from 0; write e.g. {name} = 1")
-        if name in ("scenes", "camera", "light", "machine") and not all(isinstance(item, str) for item in items):
-            raise where.error(table, name, f"{table}.{name} is {value!r}, and no text; put it in quotes")
-    return {**defaults, **given}
+        key = f"{table}.{name}" if table else name
+        if value == [] and name != "camera":
+            raise where.error(table, name, f"{key} is an empty list; name something, or leave the key out")
+        kind = values.NUMBER if table == "time" and name in _numbers() else KINDS.get(name) or values.KINDS[name]
+        is_several = name in COMBINED and isinstance(value, list)
+        try:
+            found[name] = [kind.plain(each) for each in value] if is_several else kind.plain(value)
+        except (TypeError, ValueError):
+            rule = kind.rule.replace("True or False", "true or false").replace(", or None", "")
+            rule += ", or a list of such" * (name in COMBINED)
+            way = f"write e.g. {name} = {_toml(kind.example)}"
+            raise where.error(table, name, f"{key} is {_toml(value)}, and not {rule}; {way}") from None
+    return found
+
+
+def _toml(value: Any) -> str:
+    """Return a value about as the file has it, for a message."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value) if isinstance(value, date | time) else values.shown(value)
 
 
 def _try(where: "_Lines", study: Study) -> None:
@@ -206,7 +213,7 @@ class _Lines:
     """The lines of a study's keys, for its messages."""
 
     def __init__(self, path: Path, text: str) -> None:
-        self._path, self._lines = path, text.splitlines()
+        self._path, self._lines = path, text.split("\n")
 
     def of(self, table: str, name: str) -> "_Blame":
         """Return a context in which an error is of this key, or of the option that it names."""
@@ -224,19 +231,23 @@ class _Lines:
                 raise self.error(table, name, f"{of} no {name!r}; its keys are {', '.join(known)}")
 
     def _line(self, table: str, name: str) -> int:
-        current, of_table = "", 1
-        for number, line in enumerate(self._lines, 1):
-            if header := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
-                current = header[1]
-                of_table = number if current in (table, name) else of_table
-                if current == name and not table:
-                    return number
-            elif key := re.match(r"\s*[\"']?([\w.-]+)[\"']?\s*=", line):
-                if (current == table and key[1] == name) or (not current and key[1] == f"{table}.{name}"):
-                    return number
-                if not current and table and key[1].partition(".")[0] == table:
-                    of_table = number
-        return of_table
+        """Return the line where a key begins: the first lines of a file, up to the end of its value, are a TOML that has it.
+
+        Of a key that is not there it is the line of its table.
+        """
+        first, of_table = 1, 0
+        for n in range(1, len(self._lines) + 1):
+            try:
+                read = tomllib.loads("\n".join(self._lines[:n]))
+            except ValueError:  # within a value of several lines
+                continue
+            inside = read.get(table, {}) if table else read
+            if name and isinstance(inside, dict) and name in inside:
+                return first
+            if not of_table and table in read:
+                of_table = first
+            first = n + 1
+        return of_table or 1
 
 
 class _Blame:
@@ -249,7 +260,8 @@ class _Blame:
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         if isinstance(error, NptraceError):
             name = error.name if isinstance(error, OptionError) else self._name
-            raise self._lines.error(self._table, name, str(error)) from error
+            key = "" if name in str(error) else f"{self._table}.{name}: "
+            raise self._lines.error(self._table, name, f"{key}{error}") from error
 
 
 def run_study(study: Study, *, threads: int | None = None) -> list[Record]:

@@ -6,10 +6,12 @@ from pathlib import Path
 from nptrace.plans import Given, replay_plan
 from nptrace.progress import Progress
 from nptrace.results import Results
+from nptrace.values import PATH, checked
 from nptrace_base.places import Place, place
 from traces.reader import Run, open_run
 
 
+@checked(out=PATH)
 def summarise(
     run: Run | Place | str, out: Path | str, /, *, part: str | tuple[int, int], size: Given = "8K", ways: Given = "1",
     line: Given = "32", policy: Given = "lru", prefetch: Given = "traced", layout: Given = "stored",
@@ -42,6 +44,7 @@ def summarise(
     return Path(out)
 
 
+@checked()
 def combine(summaries: Iterable[Path | str], /) -> Results:
     """Return what ``replay`` returns for the run whose parts, all of them, these summaries are; in any order.
 

@@ -15,6 +15,9 @@ from typing import Any
 #: Raised when a key of the JSON output gets another meaning or goes; a new key does not count.
 SCHEMA_VERSION = 1
 
+#: Largest seed, which a column of whole numbers holds.
+MAX_SEED = (1 << 63) - 1
+
 _AT_A_TIME = 1 << 16  # records of which Arrow makes columns: a sequence may make its records when they are asked for
 
 Record = Mapping[str, Any]
@@ -44,7 +47,10 @@ def to_csv(records: Sequence[Record]) -> str:
 
 
 def to_arrow(records: Sequence[Record], types: Mapping[str, type] | None = None) -> Any:
-    """Return a pyarrow.Table. ``types`` has those of columns that may hold nothing but None; other such columns are rates."""
+    """Return a pyarrow.Table, whose metadata have the ``schema_version``.
+
+    ``types`` has those of columns that may hold nothing but None; other such columns are rates.
+    """
     import pyarrow as pa
 
     arrow = {str: pa.string(), bool: pa.bool_(), int: pa.int64()}
@@ -53,9 +59,10 @@ def to_arrow(records: Sequence[Record], types: Mapping[str, type] | None = None)
         for name, value in record.items():
             if found.get(name) is None:
                 found[name] = None if value is None else type(value)
+    version = {"schema_version": str(SCHEMA_VERSION)}
     held = {name: type_ or (types or {}).get(name, float) for name, type_ in found.items()}
-    schema, rows = pa.schema([pa.field(name, arrow.get(type_, pa.float64())) for name, type_ in held.items()]), iter(records)
-    pieces = []
+    schema = pa.schema([pa.field(name, arrow.get(type_, pa.float64())) for name, type_ in held.items()], version)
+    rows, pieces = iter(records), []
     for _ in range(0, len(records), _AT_A_TIME):
         plain = [{name: _utf8(value) for name, value in record.items()} for record in islice(rows, _AT_A_TIME)]
         pieces.append(pa.Table.from_pylist(plain, schema))

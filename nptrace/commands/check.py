@@ -10,7 +10,7 @@ import click
 
 from nptrace.groups import BadInput, Command
 from nptrace.ignored import refuse
-from nptrace.options import threads_option
+from nptrace.options import seed_option, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @click.option("--long", "is_long", is_flag=True, help="With --hard: run the long form, which takes minutes.")
 @click.option("--pixels", default="256x256", show_default=True, metavar="WxH", help="Size of the picture in pixels.")
 @click.option("--random", "n_random", type=click.IntRange(0), default=200_000, show_default=True, help="How many random rays.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the random rays.")
+@seed_option("Seed of the random rays.")
 @threads_option()
 @scene_options
 @results_options()

@@ -11,6 +11,7 @@ from nptrace.options import (
     gathered,
     list_option,
     policy_option,
+    seed_option,
     size_option,
     threads_option,
     ways_option,
@@ -32,7 +33,7 @@ BY = ("pixel", "level", "node", "ray-type")
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
 @policy_option()
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of random replacement.")
+@seed_option("Seed of random replacement.")
 @list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option(

@@ -8,7 +8,7 @@ import click
 
 from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.groups import BadInput, Command
-from nptrace.options import gathered, given, listing, threads_option, workers_options
+from nptrace.options import gathered, given, listing, seed_option, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
@@ -49,7 +49,7 @@ class Acpr:
 @click.option(
     "--pixels", default="2048x2048", show_default=True, metavar="WxH", help="With --target-error: size of the picture."
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="With --target-error: seed of the sample.")
+@seed_option("With --target-error: seed of the sample.")
 @click.option(
     "--policy", type=click.Choice(["lru", "fifo", "random"]), default="lru", show_default=True,
     help="Replacement; with --target-error lru alone. The clock's caches know no opt.",

@@ -203,8 +203,8 @@ def test_a_cache_is_written_as_a_paper_writes_it():
         (lambda: nt.compare(rays=[1, 2]), "compare takes one cache and one machine"),
         (lambda: nt.table1("other"), "is of a scene of Table I|are both bunny"),
         (lambda: nt.open("nosuch"), "is not a run directory"),
-        (lambda: nt.render("blob", seed=-1), "seed must be a whole number from 0, got -1"),
-        (lambda: nt.render("blob", seed="x"), "seed must be a whole number from 0, got 'x'"),
+        (lambda: nt.render("blob", seed=-1), r"seed: -1 is not a whole number from 0 to 2\^63 - 1; write e.g. seed=1"),
+        (lambda: nt.render("blob", seed="x"), "seed: 'x' is not a whole number from 0"),
     ],
 )
 def test_errors_are_the_packages_own(folder, call, sentence):
