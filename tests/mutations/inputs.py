@@ -52,7 +52,7 @@ MUTATIONS = [
     Mutation("streams: the second pass goes on where the first ended", ST, "                self._file.seek(self._start)\n", "                pass\n", f"{STREAMS} {DIN}"),
     Mutation("streams: gzip by its name", ST, 'b"\\x1f\\x8b": "gzip"', 'b"\\x1f\\x8c": "gzip"', STREAMS),
     Mutation("streams: marks of packed files before records", ST, "            if not plain(head):", "            if head:", STREAMS),
-    Mutation("streams: short reads end a chunk", ST, "while missing and (piece := file.read(missing)):", "while missing == n_bytes and (piece := file.read(missing)):", STREAMS),
+    Mutation("streams: short reads end a chunk", ST, "while missing and (piece := file.read(missing)):", "while missing == n_bytes and (piece := file.read(missing)):", STREAMS + " -k byte_by_byte"),
     Mutation("streams: a damaged pack is its end", ST, "            if packing:\n                raise", "            if packing:\n                return\n                raise", STREAMS),
     Mutation("streams: CR is a blank", DI, '.replace(b"\\r", b"\\n")\n', '.replace(b"\\r", b" ")\n', STREAMS),
     Mutation("streams: CR LF cut by a chunk is two ends", DI, 'chunk, held = chunk[:-1], b"\\r"', "pass", STREAMS),
@@ -65,6 +65,6 @@ MUTATIONS = [
     # --- names and forms ---
     Mutation("names: handed to Arrow", RD, "handles.enter_context(opened(file))", "str(file)", STREAMS),
     Mutation("names: written by Arrow", "traces/writer.py", 'pa.OSFile(os.fsencode(path), "wb")', 'pa.OSFile(str(path), "wb")', STREAMS),
-    Mutation("names: printed as they are", "nptrace/groups.py", 'sys.stdout.reconfigure(errors="backslashreplace")', "pass", STREAMS),
+    Mutation("names: printed as they are", "nptrace/groups.py", 'sys.stdout.reconfigure(errors="backslashreplace")', "pass", STREAMS + " -k escapes"),
     Mutation("forms: --json beside another form", "nptrace/output.py", 'if as_json and form not in (None, "json"):', 'if as_json and form == "json":', STREAMS),
 ]

@@ -2,12 +2,14 @@
 
 import bz2
 import gzip
+import io
 import json
 import lzma
 import os
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
@@ -81,6 +83,25 @@ def test_a_fifo_is_read_once(tmp_path, dress):
     assert counts(tmp_path / "in.din") == (3, 1, 2)
     writer.join(10)
     assert not writer.is_alive()
+
+
+class Dripping(io.RawIOBase):
+    """A pipe that gives a byte at a time."""
+
+    def __init__(self, data):
+        self._file = io.BytesIO(data)
+
+    def readable(self):
+        return True
+
+    def readinto(self, buffer):
+        return self._file.readinto(memoryview(buffer)[:1])
+
+
+@pytest.mark.parametrize("dress", ["plain", "gzip", "zstd", "utf-16", "packed utf-16"])
+def test_what_comes_byte_by_byte_is_known_all_the_same(monkeypatch, dress):
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=Dripping(DRESSED[dress])))
+    assert counts("-") == (3, 1, 2)
 
 
 def test_two_passes_over_a_pipe_are_refused_before_reading(tmp_path):
@@ -174,6 +195,12 @@ def test_what_is_packed_well_is_unpacked_piece_by_piece(tmp_path, data):
 
 
 # --- names and forms ----------------------------------------------------------------------------------------------------
+
+
+def test_a_name_that_stdout_cannot_write_appears_with_escapes(tmp_path):
+    (tmp_path / "caf\xe9.din").write_bytes(TEXT)
+    result = CliRunner(charset="ascii").invoke(cli.npcache, ["replay", str(tmp_path / "caf\xe9.din"), "--threads", "1"])
+    assert result.exit_code == 0 and result.stdout.startswith("caf\\xe9.din, prefetch traced\n")
 
 
 @pytest.mark.slow
