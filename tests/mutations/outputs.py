@@ -93,7 +93,7 @@ MUTATIONS = [
     Mutation("kept: a module imported from a package does not count", "nptrace_base/sources.py",
              '            yield from (f"{base}.{word.split()[0]}" for word in words if word.strip())\n', "            pass\n", f"{KEPT}::test_what_a_file_imports_is_found_as_python_finds_it"),
     Mutation("kept: only what a file imports itself counts", "nptrace_base/sources.py",
-             "            todo += _imported(path)\n", "            found.update(_imported(path))\n", f"{KEPT}::test_trees_and_kernels_change_with_what_they_stand_on_and_with_nothing_else"),
+             "            todo += _imported(path)\n", "            found.update(_imported(path))\n", f"{KEPT}::test_what_an_import_imports_counts"),
     Mutation("messages: a bug passes for a bad input", "nptrace/groups.py",
              "        except NptraceError as e:\n", "        except ValueError as e:\n", "tests/nptrace/test_messages.py::test_a_bug_is_no_message"),
     Mutation("interrupts: Ctrl-C has a status of its own", "nptrace/groups.py",
@@ -104,7 +104,7 @@ MUTATIONS = [
              "        if error is None:\n            raise", "        if True:\n            raise", "tests/nptrace/test_interrupts.py -k swallowed"),
     Mutation("interrupts: threads are waited for", "nptrace_base/pools.py",
              "wait=isinstance(e, Exception)", "wait=True", "tests/nptrace/test_interrupts.py::test_who_is_interrupted_does_not_wait_for_threads"),
-    Mutation("progress: --quiet says as much as ever", "nptrace/progress.py", "if level < USUAL:", "if False:", "tests/nptrace/test_nptrace.py -k says_what"),
-    Mutation("progress: what carries no news is always said", "nptrace/progress.py", "if level >= VERBOSE:", "if True:", "tests/nptrace/test_nptrace.py -k says_what"),
+    Mutation("progress: --quiet says as much as ever", "nptrace/progress.py", "if level < USUAL:", "if False:", "tests/nptrace/test_nptrace.py -k reports_them"),
+    Mutation("progress: what carries no news is always said", "nptrace/progress.py", "if level >= VERBOSE:", "if True:", "tests/nptrace/test_nptrace.py -k reports_them"),
     Mutation("progress: no phase is told", "nptrace/progress.py", '(f": {what}" if what else "")', '""', "tests/nptrace/test_terminal.py -k real"),
 ]

@@ -232,13 +232,29 @@ def test_a_tree_is_not_taken_from_a_folder_of_others(tmp_path, monkeypatch):
     assert len(said) == 1 and said[0].startswith(f"trees could not be kept in {tmp_path}/trees (others may write to it")
 
 
-def test_in_a_folder_of_everybodys_packages_only_ours_count(tmp_path, monkeypatch):
-    """Where a wheel is installed; with NumPy's sources, kernels were compiled again after each change of NumPy."""
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    """An empty folder instead of that of our packages."""
     monkeypatch.setattr(sources, "ROOT", tmp_path)
+    sources._files.cache_clear()
+    yield tmp_path
+    sources._files.cache_clear()
+
+
+def test_what_an_import_imports_counts(root):
+    (root / "rtrace").mkdir()
+    for name, text in (("one", "import rtrace.two\n"), ("two", "from rtrace import three\n"), ("three", ""), ("four", "")):
+        (root / f"rtrace/{name}.py").write_text(text)
+    found = sources.closure([root / "rtrace/one.py"])
+    assert found == {root / f"rtrace/{name}.py" for name in ("one", "two", "three")}
+
+
+def test_in_a_folder_of_everybodys_packages_only_ours_count(root):
+    """Where a wheel is installed; with NumPy's sources, kernels were compiled again after each change of NumPy."""
     for name in ("rtrace", "somebody_elses"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("")
-    (tmp_path / "rtrace/one.py").write_text("import somebody_elses\nfrom rtrace import two\n")
-    (tmp_path / "rtrace/two.py").write_text("")
-    found = sources.closure([tmp_path / "rtrace/one.py"])
-    assert sorted(path.name for path in found) == ["__init__.py", "one.py", "two.py"]
+        (root / name).mkdir()
+        (root / name / "__init__.py").write_text("")
+    (root / "rtrace/one.py").write_text("import somebody_elses\nfrom rtrace import two\n")
+    (root / "rtrace/two.py").write_text("")
+    found = sources.closure([root / "rtrace/one.py"])
+    assert found == {root / f"rtrace/{name}.py" for name in ("__init__", "one", "two")}

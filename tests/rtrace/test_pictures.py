@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from rtrace import render as rendering
 from rtrace.camera import ORDERS, Camera
 from rtrace.chunk import primary_rays
 from rtrace.render import Shooting, render
@@ -80,6 +81,14 @@ def test_every_pixel_is_shaded_by_what_its_rays_met(scene, picture):
 @pytest.mark.parametrize("order", ORDERS)
 def test_every_order_and_batch_shows_the_same(scene, picture, tmp_path, order, batch, kind):
     render(scene, build_tree(scene.triangles, kind), Shooting(WIDTH, HEIGHT, order, batch, 3), tmp_path / "run")
+    np.testing.assert_array_equal(pixels_of(tmp_path / "run"), picture[1])
+
+
+@pytest.mark.parametrize("batch", [2000, 0])
+def test_batches_beyond_a_chunk_show_the_same(scene, picture, tmp_path, monkeypatch, batch):
+    """Their pixels are traced twice, and drawn with the shadow rays."""
+    monkeypatch.setattr(rendering, "CHUNK", 500)
+    render(scene, build_tree(scene.triangles, "bvh"), Shooting(WIDTH, HEIGHT, batch=batch), tmp_path / "run")
     np.testing.assert_array_equal(pixels_of(tmp_path / "run"), picture[1])
 
 
