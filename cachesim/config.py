@@ -10,12 +10,14 @@ from nptrace_base.errors import NptraceError
 
 POLICIES = ("lru", "fifo", "random", "opt")
 
-_UNITS = {"": 0, "K": 10, "M": 20, "G": 30}
+_UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
+#: Most bytes of a cache or a line: tables of results hold int64.
+MOST_BYTES = 1 << 62
 
 
 def parse_bytes(text: str) -> int:
     """Return a byte size as papers write it: 512, 8K, 64KiB, 1M (powers of two)."""
-    match = re.fullmatch(r"\s*(\d+)\s*(?:([KkMmGg])(?:i?B)?|B)?\s*", text)
+    match = re.fullmatch(r"\s*(\d+)\s*(?:([KkMmGgTt])(?:i?B)?|B)?\s*", text)
     if match is None:
         raise NptraceError(f"{text!r} is not a size; write e.g. 512, 8K or 64KiB (K = 1024)")
     number, unit = match.groups(default="")
@@ -24,7 +26,7 @@ def parse_bytes(text: str) -> int:
 
 def format_bytes(n: int) -> str:
     """Return a byte size in the largest unit that divides it: 8192 -> 8K."""
-    for unit in ("G", "M", "K"):
+    for unit in ("T", "G", "M", "K"):
         if n and n % (1 << _UNITS[unit]) == 0:
             return f"{n >> _UNITS[unit]}{unit}"
     return str(n)
@@ -97,15 +99,22 @@ class CacheConfig:
             raise NptraceError(f"a line of {line} B is not a power of two; write e.g. 32 or 64")
         if ways < 1:
             raise NptraceError(f"{ways} ways: a cache has at least 1; write 1 for direct mapped, full for fully associative")
+        if size > MOST_BYTES or line > MOST_BYTES:
+            most = max(size, line)
+            raise NptraceError(f"{most} B are beyond the largest address, 2^62; take a smaller cache, or shorter lines")
         set_bytes = ways * line
         if size < 1 or size % set_bytes:
             below, above = size // set_bytes * set_bytes, (max(size, 0) // set_bytes + 1) * set_bytes
-            near = f"{below} or {above}" if below > 0 else f"{above}"
+            near = f"write e.g. {below} or {above}" if below > 0 else f"write e.g. {above}"
+            near = near if above <= MOST_BYTES else "take fewer ways"
             raise NptraceError(
-                f"a size of {size} B is not a whole number of sets of {ways} x {line} B = {set_bytes} B; write e.g. {near}"
+                f"a size of {size} B is not a whole number of sets of {ways} x {line} B = {set_bytes} B; {near}"
             )
         if size // line >= 1 << 31:
-            raise NptraceError(f"a size of {size} B is {size // line} lines of {line} B; the limit is 2^31 - 1 lines")
+            raise NptraceError(
+                f"a size of {size} B is {size // line} lines of {line} B; the limit is 2^31 - 1 lines; take a smaller cache, "
+                "or longer lines"
+            )
         if self.policy not in POLICIES:
             raise NptraceError(f"{self.policy!r} is not a replacement policy; choose one of {', '.join(POLICIES)}")
         if not 0 <= self.seed < 1 << 64:

@@ -27,6 +27,13 @@ FLUSHES = ("never", "ray")
 _MOST_IDS = 1 << 31
 
 
+def _too_many(n_sets: int) -> str:
+    return (
+        f"a flush after every ray needs more than 2^31 line numbers for caches of {n_sets} sets together; "
+        "replay fewer caches at a time, or a smaller run"
+    )
+
+
 class FlushedSource:
     """A source of a run, whose lines are renamed for every ray, for caches whose numbers of sets divide ``n_sets``."""
 
@@ -40,6 +47,8 @@ class FlushedSource:
         self._source, self.layout, self.identity = source, source.layout, source.identity
         self.n_rays, self.n_events = source.n_rays, source.n_events
         self._n_sets = math.lcm(*(each.n_sets for each in configs)) if configs else 1
+        if self._n_sets >= _MOST_IDS:
+            raise NptraceError(_too_many(self._n_sets))
 
     def events(self, prefetch: Prefetch) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (node, access type) batches."""
@@ -61,8 +70,7 @@ class RenamedLines:
 
     Parameters
     ----------
-    first : (n_nodes,) uint32
-    n_lines : (n_nodes,) uint8
+    first, n_lines : (n_nodes,) uint32
         Lowest line and number of lines of every node.
     n_sets : int
         A line and its new number are equal modulo it.
@@ -88,10 +96,7 @@ class RenamedLines:
         state = self._ray_of, self._number, self._taken, self._ray
         rename(events, access_types, self._first, self._n_lines, state, lines, types)
         if self.n_ids >= _MOST_IDS:
-            raise NptraceError(
-                f"a flush after every ray needs more than 2^31 line numbers for caches of {self._taken.size} sets together; "
-                "replay fewer caches at a time, or a smaller run"
-            )
+            raise NptraceError(_too_many(self._taken.size))
         return lines, types
 
     def counted(

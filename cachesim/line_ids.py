@@ -5,9 +5,12 @@ The lines of a run need none of this: a layout packs them. A DineroIV trace may 
 
 import numpy as np
 
+from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 
 _MULTIPLIER = 0x9E3779B97F4A7C15  # 2^64 / golden ratio: Fibonacci hashing
+#: Slots of the largest table: ids, which fill half of it, are int32.
+MOST_SLOTS = 1 << 32
 
 
 class DenseIds:
@@ -30,6 +33,8 @@ class DenseIds:
             if done == lines.size:
                 return ids
             keys, values = self._keys, self._values
+            if keys.size == MOST_SLOTS:
+                raise NptraceError(f"the trace touches more than {self.n_ids:,} lines, which is the most; use longer lines")
             self._make(4 * keys.size)
             move(keys, values, self._keys, self._values)
 

@@ -51,9 +51,9 @@ class NodeLines:
         self._last = (last - lowest).astype(np.uint32) if (last != first).any() else None
 
     def of_nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest line (uint32) and the number of lines (uint8) of every node."""
+        """Return the lowest line and the number of lines of every node, both uint32."""
         last = self._first if self._last is None else self._last
-        return self._first, (last - self._first + 1).astype(np.uint8)
+        return self._first, last - self._first + np.uint32(1)
 
     def n_of(self, events: np.ndarray) -> np.ndarray | None:
         """Return the number of accesses of each node read; None if it is one for all nodes."""
@@ -81,8 +81,13 @@ class NodeLines:
 class AddressLines:
     """The lines of addresses below 2^32, numbered as they appear."""
 
-    def __init__(self, line_bytes: int) -> None:
-        self._line_bytes = line_bytes
+    def __init__(self, line_bytes: int, ahead: int) -> None:
+        self._shift = np.uint32(min(line_bytes.bit_length() - 1, 32))  # a line of 2^32 B or more holds all addresses
+        if (1 << 32 >> int(self._shift)) + ahead > 1 << 32:
+            raise NptraceError(
+                f"addresses below 2^32 have 2^32 lines of {line_bytes} B, and a prefetcher that goes {ahead} further would "
+                "need more; use longer lines"
+            )
         self._dense = DenseIds()
 
     @property
@@ -93,8 +98,8 @@ class AddressLines:
     def accesses(self, events: tuple[np.ndarray, np.ndarray | int], access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the accesses of reads at addresses."""
         address, size = events
-        first = address // np.uint32(self._line_bytes)
-        last = (address + (np.asarray(size, np.uint32) - np.uint32(1))) // np.uint32(self._line_bytes)  # below 2^32, checked
+        first = address >> self._shift
+        last = (address + (np.asarray(size, np.uint32) - np.uint32(1))) >> self._shift  # below 2^32, checked
         return (first, access_types) if np.array_equal(first, last) else split(first, last, access_types)
 
     def counted(

@@ -11,7 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from cachesim.config import POLICIES, CacheConfig
+from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
+
+#: Most nodes of all rings together: their numbers are int32.
+MOST_NODES = (1 << 31) - 1
 
 LRU, FIFO, RANDOM, OPT = (POLICIES.index(name) for name in ("lru", "fifo", "random", "opt"))
 
@@ -56,8 +60,7 @@ def make_lists(config: CacheConfig, n_ids: int, *, fully_associative: bool = Fal
     n_sets, ways = (1, config.n_lines) if fully_associative else (config.n_sets, config.ways)
     policy = POLICIES.index(config.policy)
     has_slots = policy in (RANDOM, OPT)
-    n_nodes = n_sets + n_ids
-    links = np.zeros(2 * n_nodes, np.int32)
+    links = _links(n_sets, n_ids)
     links[: 2 * n_sets] = np.repeat(np.arange(n_sets, dtype=np.int32), 2)  # an empty ring: the set's node alone
     # The shadow draws from a stream of its own, so that asking for 3C does not change the cache itself.
     seed = np.uint64(config.seed ^ (0x5DEECE66D if fully_associative else 0))
@@ -76,13 +79,22 @@ def make_lists(config: CacheConfig, n_ids: int, *, fully_associative: bool = Fal
 
 def grow_lists(lists: Lists, n_ids: int) -> Lists:
     """Return the same lists with room for more line ids."""
-    links = np.zeros(2 * (lists.n_sets + n_ids), np.int32)
+    links = _links(lists.n_sets, n_ids)
     links[: lists.links.size] = lists.links
     if lists.policy != OPT:
         return lists._replace(links=links)
     due = np.zeros(n_ids, np.int64)
     due[: lists.due.size] = lists.due
     return lists._replace(links=links, due=due)
+
+
+def _links(n_sets: int, n_ids: int) -> np.ndarray:
+    if n_sets + n_ids > MOST_NODES:
+        raise NptraceError(
+            f"a cache of {n_sets} sets and a trace of {n_ids} lines are more than 2^31 - 1 together; take a smaller "
+            "cache, more ways or longer lines"
+        )
+    return np.zeros(2 * (n_sets + n_ids), np.int32)
 
 
 def order_of(lists: Lists) -> np.ndarray:

@@ -143,7 +143,7 @@ class DinSource:
 
     def lines(self, line_bytes: int, ahead: int) -> "AddressLines":
         """Return the lines of the addresses."""
-        return AddressLines(line_bytes)
+        return AddressLines(line_bytes, ahead)
 
 
 def demand_only(values: np.ndarray, access_types: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,14 +6,23 @@ import re
 import shutil
 import stat
 import sys
+import time
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import IO
 
 from nptrace_base.errors import NptraceError
 
+#: Seconds without a change after which what a process of another host writes counts as left behind. From here nobody can ask
+#: whether that process still runs; clocks may differ by hours, and a large file may wait for its next piece as long.
+PATIENCE = 7 * 24 * 3600
+
 _WAY_OUT = "name another file"
+#: What a temporary name says of its writer; earlier versions wrote neither its start nor its host.
+_MARK = re.compile(r"(\d{1,9})-(?:([0-9a-f]{1,16})-([0-9a-f]{8})-)?[0-9a-f]+")
 
 
 @contextmanager
@@ -21,8 +30,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path, with the ending of ``path``, whose content becomes that of ``path`` unless something is raised.
 
     A plain file is replaced in one step, under the permissions it had; a link leads to the file that is replaced. Concurrent
-    writers do not disturb each other: the last rename wins. Temporary files of killed writers are deleted. Into a FIFO, a
-    device, an open file (/dev/stdout, /dev/fd/N) and ``-``, standard output, the whole content is copied at the end.
+    writers do not disturb each other: the last rename wins. Temporary files of writers that are gone (``is_left``) are
+    deleted. Into a FIFO, a device, an open file (/dev/stdout, /dev/fd/N) and ``-``, standard output, the whole content is
+    copied at the end.
 
     Raises
     ------
@@ -80,7 +90,7 @@ def is_special(path: Path) -> bool:
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, a plain file's, to which it is renamed; for caches, which handle an OSError."""
     _sweep(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{os.urandom(4).hex()}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{new_mark()}.tmp{path.suffix}")
     try:
         yield temporary
         with suppress(FileNotFoundError):
@@ -137,15 +147,47 @@ def _may_write(path: Path) -> bool:
 def _sweep(path: Path) -> None:
     head, tail = f".{path.stem}.", f".tmp{path.suffix}"
     for left in path.parent.glob(f"{glob.escape(head)}*-*{glob.escape(tail)}"):
-        pid = left.name[len(head) :].partition("-")[0]
-        if pid.isdigit() and not is_alive(int(pid)):
+        if is_left(left, left.name[len(head) : -len(tail)]):
             with suppress(OSError):
                 left.unlink()
 
 
-def is_alive(pid: int) -> bool:
-    """Return whether a process may still run; True where that cannot be known."""
-    if os.name != "posix" or pid == os.getpid():
+def new_mark() -> str:
+    """Return what a temporary name says of its writer: process, its start and its host; and a number that no other has."""
+    return f"{os.getpid()}-{_start_of(os.getpid()):x}-{_host()}-{os.urandom(4).hex()}"
+
+
+def is_left(path: Path, mark: str) -> bool:
+    """Return whether the writer of a temporary file or folder is gone; ``mark`` is what its name says of that.
+
+    That is known of the processes of this host. A shared folder has others' files too, which count as left behind after
+    ``PATIENCE``. A name that is none of ours is not.
+    """
+    found = _MARK.fullmatch(mark)
+    if found is None:
+        return False
+    pid, start, host = found.groups()
+    if host == _host():
+        return not _runs(int(pid), int(start, 16))
+    with suppress(OSError):  # its writer has just renamed it
+        written = max(os.lstat(each).st_mtime for each in (path, *(path.iterdir() if path.is_dir() else ())))
+        return time.time() - written > PATIENCE
+    return False
+
+
+@cache
+def _host() -> str:
+    """Return eight digits, the same for two processes if either can see whether the other runs: of one boot and container."""
+    facts = [os.uname().nodename if hasattr(os, "uname") else os.environ.get("COMPUTERNAME", "")]
+    with suppress(OSError):
+        facts.append(Path("/proc/sys/kernel/random/boot_id").read_text())
+        facts.append(os.readlink("/proc/self/ns/pid"))
+    return f"{zlib.crc32(os.fsencode('|'.join(facts))):08x}"
+
+
+def _runs(pid: int, start: int) -> bool:
+    """Return whether the process that started then may still run; True where that cannot be known."""
+    if os.name != "posix":
         return True
     try:
         os.kill(pid, 0)
@@ -153,4 +195,12 @@ def is_alive(pid: int) -> bool:
         return False
     except (PermissionError, OverflowError):
         pass
-    return True
+    return _start_of(pid) in (start, 0)
+
+
+def _start_of(pid: int) -> int:
+    """Return when a process of this host started, in ticks since the boot; 0 where the system does not say."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[19])
+    except (OSError, ValueError, IndexError):
+        return 0

@@ -30,6 +30,8 @@ from traces.format import LEAF, PREFETCH, PRIMARY, SHADOW, printable
 
 #: Rays of a chunk, and the columns of the grid in which the file's rays stand as pixels: x = ray mod WIDTH.
 CHUNK, WIDTH = 8192, 4096
+#: Most rays of a file: the rows of their grid are uint16.
+MOST_RAYS = WIDTH << 16
 _GREY = 128
 
 
@@ -87,6 +89,8 @@ def read_rays(path: Path) -> RayFile:
         raise NptraceError(f"cannot read {path} as Parquet: {reason}; give rays with the columns origin and direction") from e
     if not table.num_rows:
         raise NptraceError(f"{path} has no ray; give a file with at least one")
+    if table.num_rows > MOST_RAYS:
+        raise NptraceError(f"{path} has {table.num_rows:,} rays, and the most is {MOST_RAYS:,}; split it into several files")
     origin, direction = (_points(table, name, path) for name in ("origin", "direction"))
     ends = {
         name: _numbers(table, name, path) if name in table.column_names else np.full(len(origin), usual)

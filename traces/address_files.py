@@ -33,7 +33,7 @@ _TYPES = {
 _PARQUET = b"PAR1"  # how a Parquet file begins
 _CHUNK_BYTES = 1 << 20
 _ROWS = 1 << 18
-_INTEGER = r"^\s*(0[xX][0-9a-fA-F]{1,16}|[0-9]{1,19})\s*$"
+_INTEGER = r"^\s*(0[xX][0-9a-fA-F]{1,16}|0*[0-9]{1,19})\s*$"
 
 
 def is_address_file(stream: Stream) -> bool:
@@ -129,7 +129,7 @@ class AddressFile:
         if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
             good = pc.fill_null(pc.match_substring_regex(values, _INTEGER), False)
             if not pc.all(good).as_py():
-                raise self._bad(name, values, good, before, "no whole number; write e.g. 4096 or 0x1000")
+                raise self._bad(name, values, good, before, "no whole number of up to 19 digits; write e.g. 4096 or 0x1000")
             return as_array(pc.cast(pc.utf8_trim_whitespace(values), pa.uint64()))
         if not pa.types.is_integer(values.type):
             raise DinError(f"{self.stream.where}, column {name!r} is of type {values.type}; write whole numbers")
@@ -167,7 +167,7 @@ def export_addresses(run: Run, out: Path | str, *, form: str, prefetch: str = "b
     Parameters
     ----------
     form : str
-        ``"csv"`` (address in hexadecimal) or ``"parquet"`` (address uint32, type uint8, size uint16).
+        ``"csv"`` (address in hexadecimal) or ``"parquet"`` (address uint32, type uint8, size uint32).
     prefetch : str
         As in ``traces.din.export_din``.
     """

@@ -269,6 +269,8 @@ def export_din(
     if prefetch not in PREFETCH_LABELS:
         raise DinError(f"{prefetch!r} is not an access type for prefetches; choose one of {', '.join(PREFETCH_LABELS)}")
     node_bytes = run.footer.tree.node_bytes
+    if fmt == "binary" and node_bytes > np.iinfo(RECORD["size"]).max:
+        raise DinError(f"nodes of {node_bytes} B do not fit a binary record, whose size has 16 bits; choose csv or parquet")
     addresses = node_addresses(run, addresses)
     if fmt == "binary" and prefetch == "b":
         is_aligned = node_bytes & (node_bytes - 1) == 0 and not (addresses % np.asarray(node_bytes, addresses.dtype)).any()

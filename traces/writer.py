@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from nptrace_base.atomic import is_alive
+from nptrace_base.atomic import is_left, new_mark
 from nptrace_base.places import Place
 from traces.footer import Footer, parse_footer
 from traces.format import (
@@ -169,7 +169,7 @@ class RunWriter:
             self._real.parent.mkdir(parents=True, exist_ok=True)
             for path in {self.path, self._real}:
                 _sweep(path)
-            self._temp = self._real.with_name(f".{self._real.name}.{os.getpid()}-{os.urandom(4).hex()}.tmp")
+            self._temp = self._real.with_name(f".{self._real.name}.{new_mark()}.tmp")
             self._temp.mkdir()
         except (FileExistsError, NotADirectoryError) as e:
             raise RunError(f"cannot write {self.path}: {self.path.parent} is not a folder; choose another --out") from e
@@ -295,10 +295,9 @@ def looks_like_run(path: Place) -> bool:
 
 
 def _sweep(path: Path) -> None:
-    """Delete leftovers of killed processes beside ``path``; restore a run that a killed writer had moved aside."""
+    """Delete what writers that are gone have left beside ``path``; restore a run that one of them had moved aside."""
     for left in path.parent.glob(f".{glob.escape(path.name)}.*-*"):
-        pid = left.name[len(path.name) + 2 :].partition("-")[0]
-        if left.suffix not in (".tmp", ".old") or not pid.isdigit() or is_alive(int(pid)):
+        if left.suffix not in (".tmp", ".old") or not is_left(left, left.stem[len(path.name) + 2 :]):
             continue
         if left.suffix == ".old" and not path.exists():
             left.rename(path)

@@ -13,6 +13,7 @@ from cachesim.clock.log import LOG_BOX, LOG_READ, LOG_TRIANGLES, note
 from cachesim.clock.memory import after, fill, prefetch, read
 from cachesim.clock.state import (
     BOX,
+    BY_LEAF,
     CYCLES,
     FREE,
     IDLE,
@@ -182,7 +183,7 @@ def _after_box(machine, clock, parameters, slot, now, cycle):
     """Set the slot's event after its box test, which ends in ``cycle``; return whether it is later than ``now``."""
     ray = clock.slots[slot]
     n_prims = np.int64(machine.tree.n_prims[ray.last_node]) if ray.last_kind == KIND_LEAF else np.int64(0)
-    if n_prims > 0 and (parameters.watches_leaves or parameters.n_units > 0):
+    if n_prims > 0 and (parameters.watches_leaves or parameters.n_units > 0 or parameters.by == BY_LEAF):
         ray.event = LEAF
     else:
         ray.event = VISIT

@@ -99,7 +99,7 @@ def read(unit, machine, clock, parameters, slot, line, now):
         of_read = T_MISSES
         ready, cause, outcome = _ask_memory(machine, clock, parameters, line, now), MISS, NOT_FOUND
     if parameters.by:
-        of = _class_of(machine, clock, parameters, slot, ray.last_node, T_READS)
+        of = _class_of(machine, clock, parameters, slot, ray.last_node, line, T_READS)
         clock.tally[of, T_READS] += 1
         if of_read == T_MISSES:
             clock.tally[of, T_MISSES] += 1
@@ -130,7 +130,7 @@ def prefetch(machine, clock, parameters, slot, wanted, line, now):
         _ask_memory(machine, clock, parameters, line, now)
         machine.status[line] |= UNUSED
     if parameters.by:
-        of = _class_of(machine, clock, parameters, slot, wanted, found)
+        of = _class_of(machine, clock, parameters, slot, wanted, line, found)
         clock.tally[of, found] += 1
         if found == T_FILLED:
             clock.class_of[line] = of
@@ -161,15 +161,15 @@ def _tally(clock, parameters, line, what):
 
 
 @kernel(_nrt=False)
-def _class_of(machine, clock, parameters, slot, node, what):
-    """Return the class of a read, or of a request, of a node; ``node`` is negative for a request of a line.
+def _class_of(machine, clock, parameters, slot, node, line, what):
+    """Return the class of a read, or of a request, of a line of a node; ``node`` is negative if the line itself is requested.
 
-    A request by a unit that all rays share is of the class of slot 0's ray; reads have no place on the stack and no leaf:
-    class 0.
+    Such a line is of the level nearest the root of its nodes. A request by a unit that all rays share is of the class of slot
+    0's ray; reads have no place on the stack and no leaf: class 0.
     """
-    own = min(slot, machine.sp.size - 1)
+    own = slot if slot < machine.sp.size else np.int64(0)
     if parameters.by == BY_LEVEL:
-        return np.int64(machine.tree.level[node]) if node >= 0 else np.int64(0)
+        return np.int64(machine.tree.level[node]) if node >= 0 else clock.level_of[line]
     if parameters.by == BY_RAY:
         return clock.slots[own].type
     if what == T_READS:

@@ -6,7 +6,7 @@ import numpy as np
 
 from cachesim.clock.calendar import Calendar, make_calendar
 from cachesim.config import CacheConfig
-from cachesim.policies.machine import Machine
+from cachesim.policies.machine import Machine, lowest_on_lines
 from cachesim.replacement import Lists, make_lists
 
 #: What a ray in flight does in a cycle; every cycle of every slot is one of them.
@@ -82,7 +82,8 @@ class ClockState(NamedTuple):
     units_free: np.ndarray  # (n_units,) int64: cycle in which each intersection unit takes the next leaf
     cycles: np.ndarray  # (9,) int64
     tally: np.ndarray  # (n_classes, len(TALLY)) int64
-    class_of: np.ndarray  # (n_lines,) uint16: class of the prefetch that filled each line; empty without a tally
+    class_of: np.ndarray  # (n_lines,) uint32: class of the prefetch that filled each line; empty without a tally
+    level_of: np.ndarray  # (n_lines,) int64: class of a request of each line in a tally by level, else empty
     log: np.ndarray  # (n, 6) int64: events of the timeline; none are kept if it is empty
     log_from: int  # the ray whose start begins the timeline
 
@@ -119,13 +120,24 @@ def make_state(
         units_free=np.zeros(parameters.n_units, np.int64),
         cycles=np.zeros(len(CYCLES), np.int64),
         tally=np.zeros((n_classes(machine, parameters.by), len(TALLY)), np.int64),
-        class_of=np.zeros(n_lines if parameters.by else 0, np.uint16),
+        class_of=np.zeros(n_lines if parameters.by else 0, np.uint32),
+        level_of=_level_of_lines(machine, n_lines if parameters.by == BY_LEVEL else 0),
         log=np.zeros((n_logged, 6), np.int64),
         log_from=log_from,
     )
 
 
 def n_classes(machine: Machine, by: int) -> int:
-    """Return the classes of a tally: levels, types of rays, places on the stack from the top and then all else, leaf sizes."""
+    """Return the classes of a tally: levels or types of rays, places on the stack from the top, leaf sizes.
+
+    After the levels comes the class of lines without a node, after the places that of nodes that are not on the stack.
+    """
     tree = machine.tree
-    return (0, int(tree.level.max()) + 1, 2, machine.stack.shape[1] + 1, int(tree.n_prims.max()) + 1)[by]
+    return (0, int(tree.level.max()) + 2, 2, machine.stack.shape[1] + 1, int(tree.n_prims.max()) + 1)[by]
+
+
+def _level_of_lines(machine: Machine, n_lines: int) -> np.ndarray:
+    """Return the level nearest the root of the nodes on each of the first lines, or the class of lines without a node."""
+    if not n_lines:
+        return np.empty(0, np.int64)
+    return lowest_on_lines(machine.tree, machine.tree.level.astype(np.int64), n_lines, n_classes(machine, BY_LEVEL) - 1)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nptrace_base.jit import inlined
+from nptrace_base.jit import inlined, kernel
 
 #: What became of a demand read's line, for ``on_visit``.
 HIT, FIRST_USE, MISS = range(3)
@@ -40,8 +40,8 @@ class Tree(NamedTuple):
     parent : (n_nodes,) int32
     first_line : (n_nodes,) uint32
         Lowest line of the node.
-    n_lines : (n_nodes,) uint8
-        Lines that a read of the node touches; 0 if visiting it reads nothing.
+    n_lines : (n_nodes,) uint32
+        Lines that a read of the node touches; 0 if visiting it reads nothing. uint8 in a replay without a clock: 1 or 0.
     """
 
     n_prims: np.ndarray
@@ -90,6 +90,22 @@ class Machine(NamedTuple):
     lines_asked: np.ndarray
     last_issue: np.ndarray
     port: np.ndarray
+
+
+def lowest_on_lines(tree: Tree, values: np.ndarray, n_lines: int, none: int) -> np.ndarray:
+    """Return for each line the lowest of its nodes' values, (n_nodes,) int64; ``none`` where no node lies that is read."""
+    lowest = np.full(n_lines, none, np.int64)
+    enter_lowest(tree.first_line, tree.n_lines, values, lowest)
+    return lowest
+
+
+@kernel
+def enter_lowest(first_line, n_lines, values, lowest):
+    """Lower what is known of each line to the values of the nodes that lie on it."""
+    for node in range(values.size):
+        for piece in range(np.uint64(n_lines[node])):
+            line = np.uint64(first_line[node]) + piece
+            lowest[line] = min(lowest[line], values[node])
 
 
 def make_machine(tree: Tree, n_slots: int, n_lines: int = 0) -> Machine:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cachesim.policies import Facts, Policy, whole
 from cachesim.policies.hooks import NOTHING
-from cachesim.policies.machine import Machine, drop, offer, stop_waiting
+from cachesim.policies.machine import Machine, drop, lowest_on_lines, offer, stop_waiting
 from nptrace_base.jit import inlined, kernel
 
 FORM = "treelet[:bytes=B][:every=N][:share=P]"
@@ -148,10 +148,8 @@ def make_unit(machine: Machine, facts: Facts, *, block_bytes: int, every: int, s
     treelet, n_treelets = grow_treelets(tree.parent, tree.n_lines, max(block_bytes // facts.node_bytes, 1))
     read = np.flatnonzero(tree.n_lines)
     nodes = read[np.argsort(treelet[read], kind="stable")]
-    lowest = np.full(machine.status.size, tree.n_lines.size - 1)
-    for piece in range(int(tree.n_lines.max())):
-        touching = read[tree.n_lines[read] > piece]
-        np.minimum.at(lowest, tree.first_line[touching].astype(np.int64) + piece, touching)
+    n_nodes = tree.n_lines.size
+    lowest = lowest_on_lines(tree, np.arange(n_nodes), machine.status.size, n_nodes - 1)
     return Treelet(
         treelet=treelet,
         first=np.concatenate([[0], np.cumsum(np.bincount(treelet[read], minlength=n_treelets))]).astype(np.int64),

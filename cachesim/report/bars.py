@@ -72,7 +72,7 @@ def draw_account(rows: Sequence[Row], path: Path) -> None:
 
 def draw_levels(rows: Sequence[Row], path: Path) -> None:
     """Draw the accesses and misses of each level, or type of ray, and their miss rate below, a panel for each case."""
-    shown = [row for row in rows if row["by"] in LEVELS]
+    shown = [row for row in rows if row["by"] in LEVELS and row.get("class") != "no node"]  # which nothing reads
     if not shown:
         raise NptraceError(
             f"results by {rows[0]['by']} are no bars; write them by level or ray-type, or see nptrace view for pixels"

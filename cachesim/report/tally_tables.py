@@ -18,7 +18,8 @@ _OF_REQUESTS = ("slot", "leaf")
 _TITLES = {"level": "level", "ray": "ray", "slot": "place on\nthe stack", "leaf": "leaf\nsize"}
 _SHARED = "A request of a unit that all rays share counts for the ray in the first slot."
 _NOTES = {
-    "level": "level: of the node that is read or requested, from the root's 0.",
+    "level": "level: of the node that is read or requested, from the root's 0; where a policy requests a line, of the node "
+    "nearest the root on it.",
     "ray": f"ray: of the ray that reads, or for which a node is requested. {_SHARED}",
     "slot": f"place on the stack: of the node when it is requested, from the top's 0. {_SHARED}",
     "leaf": f"leaf size: triangles of the leaf that the ray tests at the request, 0 if it tests none. {_SHARED}",
@@ -64,7 +65,8 @@ def classes(result: Timing, by: str) -> list[dict[str, Any]]:
 def _name(i: int, n: int, by: str) -> str:
     if by == "ray":
         return ("primary", "shadow")[i]
-    return "not on it" if by == "slot" and i == n - 1 else str(i)
+    rest = {"level": "no node", "slot": "not on it"}
+    return rest[by] if by in rest and i == n - 1 else str(i)
 
 
 def tables(results: Sequence[Timing], by: str) -> tuple[list[Table], list[str]]:

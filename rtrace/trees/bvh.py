@@ -30,6 +30,7 @@ from rtrace.trees.tree import (
     UPPER,
     Tree,
     check_finite,
+    check_numbers,
     triangle_boxes,
 )
 
@@ -335,6 +336,7 @@ def build_bvh(
         nodes = nodes[:n_nodes].copy()
     else:
         raise NptraceError(f"builder must be 'sweep' or 'binned', got {builder!r}")
+    check_numbers(len(nodes), int(max_level))
     _sort_leaves(nodes.view(np.uint32), len(nodes), prims, np.empty(n, np.int32))
     corners = np.take(triangles, prims, axis=0)  # a third of the time of triangles[prims]
     params: dict[str, Any] = {"builder": builder}

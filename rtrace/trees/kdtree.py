@@ -32,6 +32,7 @@ from rtrace.trees.tree import (
     SPLIT,
     Tree,
     check_finite,
+    check_numbers,
     triangle_boxes,
     words,
 )
@@ -172,6 +173,7 @@ def build_kdtree(
         "max_refs": int(max_refs),
         **limits_given(min_leaf, max_leaf),
     }
+    check_numbers(len(built.nodes), built.level)
     corners = np.take(triangles, built.prims, axis=0)
     return Tree("kdtree", built.nodes, built.prims, corners, triangles, extent.bounds, extent.core, built.level, params)
 

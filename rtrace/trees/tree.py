@@ -45,6 +45,9 @@ LOWER, UPPER, CHILD, META = 0, 3, 6, 7
 #: The same of a pair: where the faces of an axis and the links of a sibling begin, and how many words they have.
 PAIR_WORDS, FACE_WORDS, LINKS, LINK_WORDS = BVH_PAIR.itemsize // 4, 6, 18, 2
 
+#: Most nodes of a tree, whose numbers have 30 bits in an access as in a node, and its deepest level, a uint16.
+MOST_NODES, MOST_LEVEL = 1 << 30, 65535
+
 
 class Tree(NamedTuple):
     """One acceleration structure over triangles; the arrays are C-contiguous and must not be modified.
@@ -86,6 +89,15 @@ class Tree(NamedTuple):
     params: dict
     pairs: np.ndarray | None = None
     cheaper: np.ndarray | None = None
+
+
+def check_numbers(n_nodes: int, max_level: int) -> None:
+    """Raise NptraceError for a tree whose nodes or levels are more than their numbers can tell apart."""
+    if n_nodes > MOST_NODES or max_level > MOST_LEVEL:
+        raise NptraceError(
+            f"a tree of {n_nodes:,} nodes and {max_level:,} levels is too large: the most are {MOST_NODES:,} and "
+            f"{MOST_LEVEL:,}; raise min_leaf, or split the scene"
+        )
 
 
 def in_format(tree: Tree, kind: str) -> Tree:

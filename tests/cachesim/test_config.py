@@ -18,6 +18,7 @@ from cachesim.config import CacheConfig, format_bytes, parse_bytes, parse_ways
         ("1M", 1 << 20),
         ("32B", 32),
         ("1G", 1 << 30),
+        ("3T", 3 << 40),
     ],
 )
 def test_sizes(text, value):

@@ -6,6 +6,7 @@
 from tests.mutations.mutation import Mutation
 
 KD, BVH, SORT = "tests/rtrace/trees/test_kdtree.py", "tests/rtrace/trees/test_bvh.py", "tests/rtrace/trees/test_merge_sort.py"
+LEFT = "tests/nptrace_base/test_left_files.py"
 SWEEP, OPT = "tests/cachesim/test_sweep.py", "tests/cachesim/test_opt.py"
 FORMAT, FAULTS, FUZZ = "tests/traces/test_format.py", "tests/nptrace/test_faults.py", "tests/test_fuzz.py"
 SW, LE, RE, FI = "cachesim/sweep.py", "cachesim/all_associativity.py", "cachesim/stack_distance.py", "cachesim/filter.py"
@@ -131,8 +132,12 @@ MUTATIONS = [
     Mutation("opt: the shadow does not know the future", EX, "            cache.shadow.due[line_id] = due\n", "            pass\n", OPT),
     Mutation("opt: prefetchers that react are accepted", RP, "        check_foreseeable(asked.policy)\n", "        pass\n", OPT),
     # --- whole files ---
-    Mutation("files: written in place", "nptrace_base/atomic.py", "temporary = path.with_name(f\".{path.stem}.{os.getpid()}-{os.urandom(4).hex()}.tmp{path.suffix}\")", "temporary = path", f"{SWEEP} -k whole"),
+    Mutation("files: written in place", "nptrace_base/atomic.py", "temporary = path.with_name(f\".{path.stem}.{new_mark()}.tmp{path.suffix}\")", "temporary = path", f"{SWEEP} -k whole"),
     Mutation("files: what a failed writer left stays", "nptrace_base/atomic.py", "        temporary.unlink(missing_ok=True)\n", "        pass\n", "tests/nptrace/test_outputs.py -k half_way"),
+    Mutation("files: a pid of another host is looked up here", "nptrace_base/atomic.py", "    if host == _host():\n        return not _runs(int(pid), int(start, 16))\n", "    if host:\n        return not _runs(int(pid), int(start, 16))\n", LEFT),
+    Mutation("files: what another host left stays", "nptrace_base/atomic.py", "        return time.time() - written > PATIENCE\n", "        return False\n", LEFT),
+    Mutation("files: a pid that was given again keeps files", "nptrace_base/atomic.py", "return _start_of(pid) in (start, 0)", "return True", LEFT),
+    Mutation("lines: a node's lines are counted in a byte", "cachesim/lines.py", "return self._first, last - self._first + np.uint32(1)", "return self._first, (last - self._first + np.uint32(1)).astype(np.uint8)", "tests/cachesim/test_limits.py -k node"),
     Mutation("files: what a killed writer left stays", "nptrace_base/atomic.py", "    _sweep(path)\n", "", f"{FAULTS} -k sweeps"),
     Mutation("format: a damaged picture opens", "traces/reader.py", 'if footer.image_sha256 not in (image, None):', 'if footer.image_sha256 == "":', f"{FAULTS} -k flipped"),
     Mutation("format: pages are not checked", "traces/reader.py", "pq.ParquetFile(handle, page_checksum_verification=True)", "pq.ParquetFile(handle)", FORMAT),

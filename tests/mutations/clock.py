@@ -10,6 +10,7 @@ KERNEL, MEMORY, CALENDAR, TIMING, STRETCHES = (
 )
 MODEL, WORKED, LAWS, EQUATION = (f"tests/cachesim/clock/test_{name}.py" for name in ("clock_model", "worked", "laws", "equation_1"))
 STACK, PUSH, TTP, NEXT, STRIDE, TREELET, ORACLE, PREDICTOR = (f"tests/cachesim/policies/test_{name}.py" for name in ("stack", "push", "ttp", "next_line", "stride", "treelet", "oracle", "predictor"))
+TALLY = "tests/cachesim/clock/test_tally.py"
 UNTIMED, NEEDS, FOREIGN = (f"tests/cachesim/policies/test_{name}.py" for name in ("untimed", "needs_clock", "foreign"))
 
 
@@ -39,6 +40,9 @@ MUTATIONS = [
     Mutation("clock: entries beyond the hit stay on the stack", KERNEL, "while parameters.skips and machine.stack[slot, height] != node:", "while False:", MODEL + " " + STACK),
     Mutation("clock: the cache of the bound has misses", MEMORY, "    if parameters.is_perfect:\n        numbers.hits += 1\n", "    if parameters.is_perfect and state:\n        numbers.hits += 1\n", LAWS + " -k perfect"),
     Mutation("clock: hits take a cycle more", MEMORY, "hit_at = now + parameters.hit\n", "hit_at = now + parameters.hit + 1\n", EQUATION),
+    Mutation("clock: a requested line is of the root's level", MEMORY, "else clock.level_of[line]", "else np.int64(0)", TALLY),
+    Mutation("clock: a leaf counts before its test", KERNEL, " or parameters.by == BY_LEAF):", "):", TALLY),
+    Mutation("clock: classes of leaves are cut to 16 bits", "cachesim/clock/state.py", "class_of=np.zeros(n_lines if parameters.by else 0, np.uint32)", "class_of=np.zeros(n_lines if parameters.by else 0, np.uint16)", "tests/cachesim/test_limits.py -k leaf"),
     # The calendar
     Mutation("calendar: slots beyond 31 are shown as others", CALENDAR, "np.uint64(slot & 63)", "np.uint64(slot & 31)", "tests/cachesim/clock/test_calendar.py"),
     Mutation("calendar: the rest of today's word is not looked at", CALENDAR, "    if bits:\n        return now + 1 + lowest_bit(bits)\n", "", MODEL),
@@ -62,7 +66,7 @@ MUTATIONS = [
     Mutation("stride: no stride of another ray", policy("stride"), "if is_own or stride == self.shared[0]:", "if is_own:", STRIDE),
     Mutation("stride: the last line of the ray before", policy("stride"), "        self.last[slot] = -1\n", "", STRIDE + " -k before"),
     Mutation("stride: the stride of the ray before", policy("stride"), "        self.stride[slot] = 0\n", "", STRIDE + " -k before"),
-    Mutation("treelet: a line is of the node that begins in it", policy("treelet"), "np.minimum.at(lowest, tree.first_line[touching].astype(np.int64) + piece, touching)", "lowest[tree.first_line[touching[::-1]].astype(np.int64) + piece] = touching[::-1]", TREELET),
+    Mutation("treelet: a line is of its last node", policy("machine"), "lowest[line] = min(lowest[line], values[node])", "lowest[line] = values[node]", TREELET),
     Mutation("treelet: a vote at every read", policy("treelet"), "if now - self.vote[0] < self.every:", "if now < self.every:", TREELET),
     Mutation("treelet: rays that have ended vote", policy("treelet"), "            self.votes[self.current[slot]] -= 1\n            self.current[slot] = -1\n", "            self.current[slot] = -1\n", TREELET),
     Mutation("treelet: the share of all slots", policy("treelet"), "self.share * n_rays:", "self.share * self.current.size:", TREELET),

@@ -61,7 +61,7 @@ class Case:
         self.tree = Tree(
             np.array(trace.n_prims, np.uint32), np.array(trace.level, np.uint16), np.array(trace.parent, np.int32),
             np.array([min(lines, default=0) for lines in self.lines], np.uint32),
-            np.array([len(lines) for lines in self.lines], np.uint8),
+            np.array([len(lines) for lines in self.lines], np.uint32),
         )  # fmt: skip
         self.nodes, self.kinds = (np.array([row[i] for row in rows], dtype) for i, dtype in ((1, np.uint32), (2, np.uint8)))
         self.rays = [

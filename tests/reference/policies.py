@@ -105,6 +105,13 @@ class _Register(NoPolicy):
     def request(self, number):
         return [self.line[number]] if number in self.line else None
 
+    def facts(self, number):
+        slot = self.clock.slots[number]
+        return {
+            "ray": slot.ray, "node": None, "place": None,
+            "n_prims": slot.visit.n_prims if slot.state == "triangle test" else 0,
+        }  # fmt: skip
+
     def requested(self, number):
         del self.line[number]
 

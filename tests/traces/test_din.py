@@ -2,6 +2,7 @@
 
 import re
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -222,3 +223,11 @@ def test_prefetch_options_of_a_trace(tmp_path):
     assert (traced.demand_accesses, traced.prefetch_accesses, traced.demand_misses) == (4, 1, 3)
     assert (none.demand_accesses, none.prefetch_accesses, none.demand_misses) == (4, 0, 4)
     assert tagged.accesses.tolist()[8:12] == [2, 0, 1, 0]  # misc triggers nothing, and the explicit request is left out
+
+
+def test_a_node_that_no_binary_record_holds(tmp_path):
+    trace = make_trace("bvh", 2)
+    run = write(trace, tmp_path / "bunny-bvh")
+    run.footer = replace(run.footer, tree=replace(run.footer.tree, node_bytes=1 << 16))
+    with pytest.raises(DinError, match="nodes of 65536 B do not fit a binary record, whose size has 16 bits; choose csv"):
+        export_din(run, tmp_path / "x.din", fmt="binary", prefetch="read")

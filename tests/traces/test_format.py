@@ -178,9 +178,9 @@ def test_what_a_killed_writer_left_is_swept(tmp_path):
 
 def test_a_run_set_aside_by_a_killed_writer_comes_back(tmp_path):
     write(tmp_path / "run", seed=1)
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    (tmp_path / "run").rename(tmp_path / f".run.{gone.pid}-00ff.old")
+    code = "from nptrace_base.atomic import new_mark; print(new_mark())"
+    gone = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    (tmp_path / "run").rename(tmp_path / f".run.{gone}.old")
     with pytest.raises(ValueError, match="stop"), RunWriter(tmp_path / "run", make_footer(), SPLIT):
         raise ValueError("stop")
     assert open_run(tmp_path / "run").footer.seed == 1
