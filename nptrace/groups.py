@@ -21,6 +21,9 @@ from nptrace_base.errors import NptraceError
 #: Where a command keeps, in its context, the runs that it found in folders: path -> folder.
 FOUND = "nptrace.found"
 
+#: Where a command keeps the texts of the options that its user typed: name of the function's parameter -> text, or a list.
+TYPED = "nptrace.typed"
+
 #: Exit status of a program that Ctrl-C ended.
 INTERRUPTED = 130
 
@@ -67,6 +70,13 @@ class BadInput(click.ClickException):
     exit_code = 2
 
 
+def command_of(name: str) -> click.Command:
+    """Return the command of a name, of either program."""
+    found = vars(importlib.import_module(f"nptrace.commands.{name}"))
+    command: click.Command = found.get(f"{name}_") or found[name]
+    return command
+
+
 class _Commands(dict[str, click.Command]):
     """The commands of a program by name, each imported when it is looked up."""
 
@@ -76,8 +86,7 @@ class _Commands(dict[str, click.Command]):
 
     def __getitem__(self, name: str) -> click.Command:
         if super().__getitem__(name) is None:
-            found = vars(importlib.import_module(f"nptrace.commands.{name}"))
-            command: click.Command = found.get(f"{name}_") or found[name]
+            command = command_of(name)
             _version_option(self._program)(command)
             _level_option("-q", "--quiet", progress.QUIET, "Print results and errors only.")(command)
             _level_option("-v", "--verbose", progress.VERBOSE, "Print also notes that carry no news.")(command)
@@ -142,6 +151,8 @@ class Command(click.Command):
             if name in self._old:
                 progress.say(f"{name} is now {self._old[name]}; the old spelling will go")
                 args[i] = self._old[name] + equals + value
+        if not ctx.resilient_parsing:
+            ctx.meta[TYPED] = self.make_parser(ctx).parse_args([*args])[0]
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:

@@ -1,7 +1,6 @@
 """Options that choose what is replayed, shared by the commands of npcache."""
 
 import os
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -83,16 +82,6 @@ def _runs_in(folder: Place) -> list[Place]:
     found = [] if holds_run(folder) else find_runs(folder)
     _keep(found, folder)
     return found
-
-
-def again(sources: Sequence[Place], folder: Place, *, needs_run: bool = False) -> str:
-    """Return the words, and a blank, with which another command reads the same runs: for the last line of a command."""
-    from traces.format import printable
-
-    named = [source for source in sources if str(source) != "-" and (source.is_dir() or not needs_run)]
-    if sources:
-        return "".join(f"{shlex.quote(printable(str(source)))} " for source in named[:3])
-    return "" if str(folder) == "traces" else f"--traces {shlex.quote(printable(str(folder)))} "
 
 
 def traces_option() -> Any:

@@ -1,7 +1,6 @@
 """nptrace check: our hits against Embree's, and the catalogue of hard cases."""
 
 import math
-import shlex
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from nptrace.options import seed_option, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
+from nptrace_base.shell import word
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
@@ -42,7 +42,6 @@ def check(
     """
     from nptrace_base.pools import thread_pool
     from rtrace.camera import parse_size
-    from traces.format import printable
 
     if not names and not hard:
         raise BadInput("name a scene to compare with Embree, or give --hard")
@@ -82,8 +81,7 @@ def check(
                 rows += [{**of, **row._asdict(), "is_good": row.is_good} for row in compared]
     n_bad = sum(not row["is_good"] for row in rows)
     output.write(rows, lambda: (tables_of(rows), [f"{len(rows)} comparisons, {n_bad} beyond their limit."]))
-    words = " ".join(shlex.quote(printable(name)) for name in names[:3])
-    following = f"nptrace render {words}" if names else "nptrace check sponza"
+    following = f"nptrace render {' '.join(map(word, names))}" if names else "nptrace check sponza"
     done(f"{len(rows)} comparisons, {sum(row['n_rays'] for row in rows):,} rays", began, following)
     if n_bad:
         raise SystemExit(1)

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from nptrace.clock_options import Machines, machine_options, machine_sources, one_machine
+from nptrace.following import again, following
 from nptrace.groups import Command
 from nptrace.options import list_option, threads_option, workers_options
 from nptrace.output import Output, output_option, results_options
@@ -61,4 +62,5 @@ def compare(
             draw_speed_ups([row.to_dict() for row in rows], picture)
     if picture is None or output.is_asked_for:
         output.write([row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
-    done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began, "npcache table1")
+    page = following("npcache report", again(sources, folder, paths), "-o report.html", drops=["prefetch"])
+    done(f"{len(rows)} cases, {sum(row.timing.cycles for row in rows):,} cycles", began, page)

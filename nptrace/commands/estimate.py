@@ -1,6 +1,5 @@
 """npcache estimate: miss rates of a large picture from part of its rays."""
 
-import shlex
 import time
 from collections import Counter
 from dataclasses import replace
@@ -9,12 +8,14 @@ import click
 
 from cachesim.config import parse_bytes
 from nptrace.estimates import Sampling, estimate_scenes
+from nptrace.following import following
 from nptrace.groups import BadInput, Command
 from nptrace.options import Caches, gathered, given, list_option, listing, size_option, threads_option, ways_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import done
 from nptrace.scene_options import Picture, Scenes, Trees, ray_options, scene_options, tree_options
 from nptrace.sources import LAYOUT_HELP
+from nptrace_base.shell import word
 
 
 @click.command(cls=Command)
@@ -63,7 +64,6 @@ def estimate(
     from cachesim.report import estimate_tables, table1
     from cachesim.sampling.cold_start import check_lru
     from cachesim.sampling.target import parse_target
-    from traces.format import printable
 
     began = time.perf_counter()
     parse_target(sampling.error)  # refused now, not after scenes are loaded
@@ -79,6 +79,7 @@ def estimate(
     results = [result for _, _, result in found]
     output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))
     methods = ", ".join(f"{n} {method}" for method, n in Counter(result.method for result in results).items())
-    words = " ".join(shlex.quote(printable(name)) for name in scenes.names[:3])
     what = f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches"
-    done(what, began, f"nptrace render {words} --pixels {picture.pixels}")
+    of_caches = "size", "ways", "line", "policy", "layout", "is_table1", "error", "exact_below", "resume", "pixels"
+    subject = " ".join(map(word, scenes.names))
+    done(what, began, following("nptrace render", subject, f"--pixels {picture.pixels}", drops=of_caches))

@@ -1,6 +1,5 @@
 """nptrace export: a run as a trace of addresses, for DineroIV or in CSV or Parquet."""
 
-import shlex
 import time
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from nptrace.output import form_by_ending, output_option, refuse_terminal
 from nptrace.progress import Progress, done, say
 from nptrace.sources import PlaceOf
 from nptrace_base.places import Place
+from nptrace_base.shell import word
 
 FORMS = ("din", "csv", "parquet")
 
@@ -39,6 +39,7 @@ def export(run: Place, form: str | None, binary: bool, prefetch: str, output: Pa
     nptrace export traces/bunny-bvh -o bunny.parquet
     dineroIV -informat d -l1-usize 8k -l1-ubsize 32 -l1-uassoc 2 < bunny-bvh.din
     """
+    from nptrace_base.atomic import is_special
     from traces.address_files import export_addresses
     from traces.din import export_din
     from traces.format import printable
@@ -59,4 +60,4 @@ def export(run: Place, form: str | None, binary: bool, prefetch: str, output: Pa
         else:
             written = export_addresses(opened, target, form=form, prefetch=prefetch)
     name = printable(str(target))
-    done(f"{name}: {written:,} accesses", began, "" if name == "-" else f"npcache replay {shlex.quote(name)}")
+    done(f"{name}: {written:,} accesses", began, "" if is_special(target) else f"npcache replay {word(target)}")

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
+from nptrace.following import again
 from nptrace.groups import BadInput, Command
 from nptrace.options import threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
-from nptrace.sources import again
 from nptrace_base.places import place
 
 
@@ -73,4 +73,4 @@ def map_(
     if picture is None or output.is_asked_for:
         output.write(rows, lambda: map_tables.tables(rows))
     what = f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}"
-    done(what, began, f"npcache compare {again((), out)}".rstrip())
+    done(what, began, " ".join(filter(None, ["npcache compare", again((), out, ())])))

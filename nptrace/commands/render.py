@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from nptrace.following import named
 from nptrace.groups import Command
 from nptrace.ignored import refuse
 from nptrace.options import gathered, threads_option, workers_options
@@ -22,7 +23,7 @@ from nptrace.scene_options import (
     scene_options,
     tree_options,
 )
-from nptrace.sources import PlaceOf, again
+from nptrace.sources import PlaceOf
 from nptrace_base.places import Place
 
 if TYPE_CHECKING:
@@ -90,7 +91,8 @@ def render(
     output.write([run.to_dict() for run in runs], lambda: ([table_of(runs)], []))
     n_rays, n_bytes = sum(run.n_rays for run in runs), sum(run.n_bytes for run in runs)
     what = f"{len(runs)} run{'s' * (len(runs) != 1)}, {n_rays:,} rays, {size_text(n_bytes)}"
-    done(what, began, f"npcache replay {again((), out)}--size 8K,16K")
+    subject = named([out / run.identity.run for run in runs])
+    done(what, began, " ".join(filter(None, ["npcache replay", subject, "--size 8K,16K"])))
 
 
 def table_of(runs: "list[Summary]") -> "Table":

@@ -5,6 +5,7 @@ import time
 import click
 
 from cachesim.config import parse_bytes
+from nptrace.following import again, following
 from nptrace.groups import BadInput, Command
 from nptrace.options import (
     Caches,
@@ -19,7 +20,8 @@ from nptrace.options import (
 )
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, again, chosen_sources, traces_option, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, traces_option, untimed_policies
+from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 
 #: By what the counts can be written: ``cachesim.by_group.BY``, which takes long to import.
@@ -98,4 +100,17 @@ def replay(
         output.write(GroupedRecords(grouped), lambda: group_tables.tables(grouped))
     n = len(runs)
     what = f"{n} run{'s' * (n != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {bar.n_done:,} accesses read"
-    done(what, began, f"npcache sweep {again(sources, folder)}--size 4K..64K -o sweep.csv")
+    done(what, began, _following(again(sources, folder, paths), prefetch))
+
+
+def _following(subject: str | None, prefetch: list[str]) -> str:
+    """Return the sweep of what was replayed, if its policies can be swept."""
+    from cachesim.prefetch import parse_prefetch
+    from cachesim.stack_distance import check_one_pass
+
+    try:
+        for each in prefetch:
+            check_one_pass(parse_prefetch(each))
+    except NptraceError:
+        return ""
+    return following("npcache sweep", subject, "--size 4K..64K -o sweep.csv", drops=["size"])

@@ -1,6 +1,5 @@
 """npcache report: one page about one run or several, which needs no network."""
 
-import shlex
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from nptrace.progress import Progress, done, say, size_text
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, traces_option, untimed_policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
+from nptrace_base.shell import word
 
 if TYPE_CHECKING:
     from cachesim.clock.parameters import Clock
@@ -105,11 +105,9 @@ class Case:
     @property
     def commands(self) -> dict[str, str]:
         """The commands that print the results, by their name on the page."""
-        from traces.format import printable
-
         first, lines = self.configs[0], ",".join(str(line) for line in dict.fromkeys(c.line_bytes for c in self.configs))
-        runs = " ".join(shlex.quote(printable(str(run.path))) for run in self.runs)
-        single = " ".join(shlex.quote(printable(str(run.path))) for run in self.single)
+        runs = " ".join(word(run.path) for run in self.runs)
+        single = " ".join(word(run.path) for run in self.single)
         same = f" --prefetch {self.prefetch} --layout {self.layout}"
         machine, *numbers = self.clock.name.split(", ")
         given = "".join(f" --{number.replace('=', ' ')}" for number in numbers)

@@ -1,6 +1,5 @@
 """nptrace run: a study in one file -> its runs, and one table of all its rows."""
 
-import shlex
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from nptrace.following import named
 from nptrace.groups import Command
 from nptrace.options import threads_option
 from nptrace.output import Output, results_options
@@ -42,8 +42,9 @@ def run(study: Path, threads: int, output: Output) -> None:
     output.write(rows, lambda: ([table_of(rows)], []))
     n_runs = len({row["path"] for row in rows})
     target = "" if output.path is None or str(output.path) == "-" else f"{printable(str(output.path))}: "
-    out = shlex.quote(printable(str(asked.out)))
-    done(f"{target}{len(rows)} rows of {n_runs} run{'s' * (n_runs != 1)}", began, f"npcache compare --traces {out}")
+    subject = named([Path(path) for path in dict.fromkeys(row["path"] for row in rows)])
+    following = " ".join(filter(None, ["npcache compare", subject])) if all(row["packet"] == 1 for row in rows) else ""
+    done(f"{target}{len(rows)} rows of {n_runs} run{'s' * (n_runs != 1)}", began, following)
 
 
 def table_of(rows: list[dict[str, Any]]) -> "Table":

@@ -11,6 +11,7 @@ from nptrace.options import Caches, gathered, list_option, policy_option, size_o
 from nptrace.output import output_option
 from nptrace.progress import Progress, done, size_text
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, untimed_policies
+from nptrace_base.shell import word
 
 
 @click.command(cls=Command, lists={"Prefetch policies": untimed_policies})
@@ -51,4 +52,12 @@ def summarise(
         n, n_bytes = summarised(
             open_run(run), configs, prefetch, layout, chosen, out, bar, three_c=three_c, threads=threads
         )  # fmt: skip
-    done(f"part {chosen[0]} of {chosen[1]}, {n:,} accesses, {size_text(n_bytes)}", began, "npcache combine *.sum")
+    done(f"part {chosen[0]} of {chosen[1]}, {n:,} accesses, {size_text(n_bytes)}", began, _following(out, chosen[1]))
+
+
+def _following(out: Path, n_parts: int) -> str:
+    """Return the command that joins the parts, once there are as many files like this one as parts."""
+    if len([*out.parent.glob(f"*{out.suffix}")]) != n_parts or not out.suffix:
+        return ""
+    folder = "" if str(out.parent) == "." else f"{word(out.parent)}/"
+    return f"npcache combine {folder}*{out.suffix}"

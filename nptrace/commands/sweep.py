@@ -2,16 +2,22 @@
 
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from cachesim.config import parse_bytes
+from nptrace.following import again, following
 from nptrace.groups import Command
 from nptrace.options import list_option, threads_option, ways_option, workers_options
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, again, chosen_sources, traces_option, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, traces_option, untimed_policies
+from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
+
+if TYPE_CHECKING:
+    from cachesim.sweep import SweepRow
 
 
 @click.command(cls=Command, lists={"Prefetch policies": untimed_policies})
@@ -60,4 +66,19 @@ def sweep(
         output.write([row.to_dict() for row in rows], lambda: sweep_output.tables(rows))
     n_runs = len({row.identity for row in rows})
     what = f"{n_runs} run{'s' * (n_runs != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {bar.n_done:,} accesses read"
-    done(what, began, f"npcache time {again(sources, folder, needs_run=True)}--prefetch stack,push")
+    done(what, began, _following(again(sources, folder, paths, needs_run=True), rows, size, ways, line))
+
+
+def _following(
+    subject: str | None, rows: "list[SweepRow]", size: list[str], ways: list[tuple[str, ...]], line: list[int]
+) -> str:  # fmt: skip
+    """Return the clock's command for what was swept, if a clock can time the runs and has such caches."""
+    from cachesim.grid import caches, parse_sizes
+
+    if any((row.identity.packet or 1) > 1 for row in rows):
+        return ""
+    try:
+        caches([each for text in size for each in parse_sizes(text)], ways, line)
+    except NptraceError:
+        return ""
+    return following("npcache time", subject, "--prefetch stack,push", drops=["prefetch"])

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import click
 
 from nptrace.estimates import Sampling, estimate_scenes
+from nptrace.following import following, named
 from nptrace.groups import BadInput, Command
 from nptrace.options import gathered, given, listing, seed_option, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
-from nptrace.sources import LAYOUT_HELP, PlaceOf, again, chosen_sources, traces_option
+from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, traces_option
 from nptrace.table1_study.presets import PRESETS, note
 from nptrace_base.places import Place
 
@@ -113,7 +114,9 @@ def table1(
     for tree, scene in table.missing(chosen):
         say(f"no run of {scene} as a {table.TREES[tree]}: nptrace render {scene} --accel {tree}")
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
-    done(f"{len(chosen)} runs, {len(rows)} caches", began, f"npcache compare {again(sources, folder)}".rstrip())
+    is_timed = all(run.footer.packet == 1 for run in chosen.values())
+    subject = named([run.path for run in chosen.values()]) if is_timed else None
+    done(f"{len(chosen)} runs, {len(rows)} caches", began, following("npcache compare", subject, drops=["n"]))
 
 
 def table1_of_preset(name: str, equation: "Equation", threads: int, output: Output) -> None:

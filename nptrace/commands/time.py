@@ -6,11 +6,12 @@ from pathlib import Path
 import click
 
 from nptrace.clock_options import Machines, machine_options, machine_sources
+from nptrace.following import again, following
 from nptrace.groups import BadInput, Command
 from nptrace.options import list_option, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, again, chosen_sources, policies, traces_option
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, policies, traces_option
 from nptrace_base.places import Place
 
 #: The tallies of the clock that can be printed.
@@ -80,4 +81,5 @@ def time_(
     else:
         output.write(tally_tables.records(results, by), lambda: tally_tables.tables(results, by))
     what = f"{len(results)} case{'s' * (len(results) != 1)}, {sum(result.cycles for result in results):,} cycles"
-    done(what, began, f"npcache compare {again(sources, folder, needs_run=True)}".rstrip())
+    subject = again(sources, folder, paths, needs_run=True)
+    done(what, began, following("npcache compare", subject, drops=["prefetch"], is_single=True))
