@@ -14,7 +14,8 @@ __version__ = "0.1.0"
 
 #: Public names, and the module that defines each; ``__init__.pyi`` has them for type checkers.
 _PLACES = {
-    **dict.fromkeys(("compare", "estimate", "open", "render", "replay", "sweep", "table1", "time"), "nptrace.api"),
+    **dict.fromkeys(("compare", "open", "replay", "sweep", "table1", "time"), "nptrace.api"),
+    **dict.fromkeys(("estimate", "render"), "nptrace.tracing"),
     **dict.fromkeys(("combine", "summarise"), "nptrace.summaries"),
     "CacheConfig": "cachesim.config",
     "NptraceError": "nptrace_base.errors",

@@ -1,18 +1,18 @@
-"""The functions of ``import nptrace``: options as the commands take them, as texts, numbers or lists -> runs and results.
+"""The functions of ``import nptrace`` that read runs: options as a command takes them, texts, numbers or lists -> results.
 
 Each has the options and defaults of the command of its name (``three_c`` is ``--3c``), and does the same work
 (``nptrace.studies``). A wrong value raises NptraceError with the sentence that the command prints. Notes go to stderr.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
+from typing import TYPE_CHECKING, Any, Unpack
 
-from nptrace.plans import Given, MachineOptions, estimate_plan, listed, machines_plan, replay_plan, sweep_plan, time_plan
+from nptrace.plans import Given, MachineOptions, listed, machines_plan, replay_plan, sweep_plan, time_plan
 from nptrace.progress import Progress
 from nptrace.results import Results
 from nptrace.studies import Where
-from nptrace.values import checked, pixels_text, text, whole
+from nptrace.values import checked, text, whole
 from nptrace_base.engines import engine_of
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote, place
@@ -21,130 +21,28 @@ from traces.reader import Run, open_run
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from rtrace.scenes.scene import Scene
-
 #: Runs, and places of runs, folders of runs or traces.
 Sources = Where | Iterable[Where]
-#: The size of a picture, "640x480" or (640, 480).
-Pixels = str | tuple[int, int]
-
-
-class RenderOptions(TypedDict, total=False):
-    """The options of ``render`` that do not decide how many runs it makes."""
-
-    pixels: Pixels
-    light: str | None
-    order: str
-    batch: int
-    seed: int
-    packet: int
-    shadow: str
-    shadow_order: str
-    shadow_end: str
-    kd: str
-    bvh: str
-    rays: Path | str | None
-    out: Place | str
-    name: str | Sequence[str]
-    overwrite: bool
-    workers: "int | Executor"
-    scheduler: str | None
-    threads: int | None
-    strict: bool
-    offline: bool
-
-
-@overload
-def render(  # type: ignore[overload-overlap]
-    scene: "str | Path | Scene", /, *, accel: Literal["kdtree", "bvh"], camera: str | None = None,
-    bvh_nodes: Literal[32, 64] = 32, **options: Unpack[RenderOptions],
-) -> Run: ...  # fmt: skip
-
-
-@overload
-def render(
-    *scenes: "str | Path | Scene", accel: Given = (), camera: str | Sequence[str] | None = None, bvh_nodes: Given = 32,
-    **options: Unpack[RenderOptions],
-) -> list[Run]: ...  # fmt: skip
-
-
-@checked()
-def render(
-    *scenes: "str | Path | Scene", accel: Given = (), pixels: Pixels = "128x128", camera: str | Sequence[str] | None = None,
-    light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, packet: int = 1, shadow: str = "lit",
-    shadow_order: str = "sign", shadow_end: str = "stop", kd: str = "", bvh: str = "sweep", bvh_nodes: Given = 32,
-    rays: Path | str | None = None, out: Place | str = "traces", name: str | Sequence[str] = (), overwrite: bool = False,
-    workers: "int | Executor" = 0, scheduler: str | None = None, threads: int | None = None, strict: bool = False,
-    offline: bool = False,
-) -> Run | list[Run]:  # fmt: skip
-    """Trace pictures of scenes, as ``nptrace render`` does, and return the runs, which are on disk.
-
-    Parameters
-    ----------
-    scenes : str, Path or Scene
-        Mesh files, names that ``nptrace scenes`` lists, or scenes (``rtrace.scene_from_triangles``).
-    accel : str or list
-        Trees, ``"kdtree"`` and ``"bvh"``; both by default.
-    camera : str or list
-        One, or several for several runs; by default the scene's or a fitted one.
-    packet : int
-        Rays that walk the tree as one: 1, 4, 16 or 64, of a square of pixels.
-    shadow, shadow_order, shadow_end : str
-        Which pixels send a shadow ray (``"lit"``, ``"hit"``, ``"all"``), which child it searches first (``"sign"``,
-        ``"cheaper"``), and what is read after its hit (``"stop"``, ``"drain"``).
-    rays : Path, optional
-        Parquet file of rays to trace instead of a picture's (``rtrace.ray_file``).
-    out : Path
-        Folder for the runs, or an address such as s3://bucket/folder.
-    workers : int or Executor
-        Trace parts of the picture in so many processes, or on the workers of an executor of ``concurrent.futures``.
-    scheduler : str, optional
-        Trace them on the workers of a Dask cluster.
-
-    Returns
-    -------
-    Run or list of Run
-        A Run if one scene, one tree and at most one camera are given, each as a single value; else a list.
-
-    Raises
-    ------
-    NptraceError
-        A value is wrong, a scene is not found or cannot be read, or a run of other content has the name.
-    """
-    from nptrace.scene_options import check_run_names, load_scenes, own_rays, parse_tree, tree_params
-    from nptrace.studies import rendered
-    from rtrace.camera import ORDERS, parse_size
-    from rtrace.ray_file import RayFile
-    from rtrace.render import Shooting
-
-    trees, sizes = listed("accel", accel, parse_tree), listed("bvh_nodes", bvh_nodes, str)
-    cameras = [camera] if isinstance(camera, str) else list(camera or ())
-    names = [name] if isinstance(name, str) else list(name)
-    if not scenes:
-        raise NptraceError("no scene is given; name a mesh file or a scene, e.g. render('sponza')")
-    if order not in ORDERS:
-        raise NptraceError(f"order: {order!r} is not one of {', '.join(ORDERS)}")
-    check_run_names(names, len(scenes) * max(len(cameras), 1))
-    shooting: Shooting | RayFile
-    sides = parse_size(pixels_text(pixels))
-    shooting = picture = Shooting(*sides, order, batch, seed, packet, shadow, shadow_order, shadow_end)
-    if rays is not None:
-        shooting = own_rays(Path(rays), picture, [*cameras, *([light] if light else [])])
-    params = tree_params(trees, kd, bvh, sizes)
-    seen = load_scenes([str(each) if isinstance(each, Path) else each for each in scenes], strict, offline, cameras, light)
-    folder = place(out)
-    with engine_of(workers, scheduler) as engine, Progress(len(seen) * len(params)) as bar:
-        made = rendered(
-            seen, params, shooting, folder, bar, names=names, overwrite=overwrite, threads=threads, engine=engine
-        )  # fmt: skip
-    runs = [open_run(folder / each.identity.run) for each in made]  # whose path is for printing alone
-    is_single = len(runs) == 1 and isinstance(accel, str) and (camera is None or isinstance(camera, str))
-    return runs[0] if is_single else runs
 
 
 @checked()
 def open(path: Place | str) -> Run:
-    """Open a run, on disk or at an address such as s3://bucket/run; NptraceError if it is none, or damaged."""
+    """Open a run.
+
+    Parameters
+    ----------
+    path : Path or str
+        Its folder, or its address such as s3://bucket/run.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    NptraceError
+        There is no run, or it is damaged.
+    """
     return open_run(path)
 
 
@@ -161,12 +59,18 @@ def replay(
     ----------
     sources : Run, path or several
         Without any, the runs in the folder ``traces``.
+    traces : Path
+        That folder, or its address in an object store.
     size, line : str, int or list
         In bytes: ``8192``, ``"8K,16K"``, ``"4K..64K"`` (the powers of two from one to the other).
     ways : str, int or list
         ``2``, ``"1,2,full"``, ``"1..16"``.
-    policy, prefetch, layout : str or list
-        As the command's help lists them.
+    policy : str or list
+        Replacement: ``"lru"``, ``"fifo"``, ``"random"``, ``"opt"``.
+    seed : int
+        Seed of random replacement, from 0 to 2^63 - 1.
+    prefetch, layout : str or list
+        Prefetch policies, and layouts of the nodes in memory, as the command's help lists them.
     reads : str
         What a visit reads: ``"own"``, its node; ``"children"``, both children of a node that is entered, at once;
         ``"merged"``, its node unless that lies in the line read last.
@@ -182,6 +86,11 @@ def replay(
         Processes to use instead of threads, or what runs calls elsewhere, each for parts of a run; 0 for none.
     scheduler : str, optional
         Address of a Dask scheduler whose workers are used.
+
+    Returns
+    -------
+    Results
+        A row per run, layout, policy and cache: counts, rates as fractions, sizes in bytes.
 
     Raises
     ------
@@ -218,8 +127,24 @@ def sweep(
 ) -> Results:  # fmt: skip
     """Count the misses of every LRU cache in ranges, in one pass over each trace, as ``npcache sweep`` does.
 
-    The parameters are those of ``replay``; a cache is in the sweep if its size lies in a range and its number of sets is a
-    power of two.
+    A cache is in the sweep if its size lies in a range and its number of sets is a power of two.
+
+    Parameters
+    ----------
+    size : str, int or list
+        Ranges of sizes in bytes, ``"4K..64K"``, or single ones.
+    sources, traces, ways, line, prefetch, layout, threads, workers, scheduler
+        As those of ``replay``.
+
+    Returns
+    -------
+    Results
+        A row per run, layout, policy and cache: counts, rates as fractions, sizes in bytes.
+
+    Raises
+    ------
+    NptraceError
+        A value is wrong, no cache is in the ranges, or a source cannot be read.
     """
     from cachesim.report import sweep_output
     from nptrace.studies import swept
@@ -242,12 +167,27 @@ def time(
     Parameters
     ----------
     machine : str
-        Where the cache and the ``numbers`` come from that are not given.
+        Where the cache and the ``numbers`` come from that are not given, as the command's help lists them.
+    size, ways, line : str, int or list
+        As those of ``replay``; by default the machine's.
+    sources, traces, policy, seed, prefetch, layout, threads
+        As those of ``replay``; opt needs the future, which a clock does not know.
     by : str, optional
         ``"level"``, ``"ray"``, ``"slot"`` or ``"leaf"``: return reads and requests by tree level, ray type, place on the
         stack or leaf size instead.
+    numbers : int or list
+        Of the machine: ``hit``, ``miss`` and ``every`` in cycles, ``box`` and ``triangle`` in cycles of a test, ``bandwidth``
+        in bytes per cycle, and how many ``rays``, ``ports``, ``mshrs`` and ``units`` there are (``npcache time --help``).
 
-    The other parameters are those of ``replay``.
+    Returns
+    -------
+    Results
+        A row per run, layout, cache, machine and policy: cycles, where they went, and what became of the requests.
+
+    Raises
+    ------
+    NptraceError
+        A value is wrong, a machine has no such number, or a run cannot be read or timed.
     """
     from cachesim.report import tally_tables, timing_tables
     from nptrace.commands.time import BY
@@ -275,8 +215,28 @@ def compare(
 ) -> Results:  # fmt: skip
     """Compare prefetch policies on one cache and machine, with what needs no unit, as ``npcache compare`` does.
 
-    The parameters are those of ``time``, for one cache and one machine; without ``baselines``, line sizes, alignments and node
-    orders are not compared. Workers are those of ``replay``, and take whole runs.
+    Parameters
+    ----------
+    prefetch : str or list
+        Policies; ``"all"`` for the usual ones.
+    layout : str
+        A single one.
+    baselines : bool
+        Compare line sizes, alignments and node orders too.
+    sources, traces, machine, size, ways, line, policy, seed, threads, numbers
+        As those of ``time``, for one cache and one machine.
+    workers, scheduler
+        As those of ``replay``; each worker takes whole runs.
+
+    Returns
+    -------
+    Results
+        A row per run and policy, and per baseline: cycles, speed-ups, bytes from memory.
+
+    Raises
+    ------
+    NptraceError
+        A value is wrong, several caches or machines are asked for, or a run cannot be read or timed.
     """
     from cachesim.report import compare_tables
     from nptrace.clock_options import one_machine
@@ -291,60 +251,6 @@ def compare(
     return Results("compare", [row.to_dict() for row in rows], lambda: compare_tables.tables(rows))
 
 
-@checked()
-def estimate(
-    *scenes: "str | Path | Scene", accel: Given = (), size: Given = "8K", ways: Given = "1", line: Given = "32",
-    policy: Given = "lru", layout: Given = "stored", is_table1: bool = False, target_error: str = "2%,0.05pp",
-    exact_below: int = 100_000_000, resume: Path | str | None = None, pixels: Pixels = "2048x2048",
-    camera: str | Sequence[str] | None = None, light: str | None = None, order: str = "scanline", batch: int = 1,
-    seed: int = 0, kd: str = "", bvh: str = "sweep", bvh_nodes: Given = 32, threads: int | None = None,
-    strict: bool = False, offline: bool = False,
-) -> Results:  # fmt: skip
-    """Estimate the miss rates of large pictures from part of their rays, as ``npcache estimate`` does; no run is written.
-
-    Parameters
-    ----------
-    scenes, accel, pixels, camera, light, order, batch, kd, bvh, bvh_nodes
-        As those of ``render``.
-    size, ways, line, policy, layout
-        As those of ``replay``; lru alone can be estimated.
-    is_table1 : bool
-        Take the four caches of Table I.
-    target_error : str
-        Half-width allowed for every miss rate: relative (``"2%"``), in percentage points (``"0.05pp"``), or the wider of both.
-    exact_below : int
-        Runs of up to so many predicted accesses are counted exactly.
-    resume : Path, optional
-        Keep the counts of one run in this file, and continue from it if it exists.
-    seed : int
-        Of the sample, and of the random order.
-
-    Returns
-    -------
-    Results
-        One row per run, with its caches in ``cells``.
-    """
-    from cachesim.report import estimate_tables
-    from nptrace.estimates import Sampling, estimate_scenes
-    from nptrace.scene_options import Picture, Trees, load_scenes, parse_tree
-
-    configs, _, layouts = estimate_plan(size, ways, line, policy, layout, is_table1=is_table1)
-    cameras = [camera] if isinstance(camera, str) else list(camera or ())
-    trees = Trees(listed("accel", accel, parse_tree), kd, bvh, tuple(listed("bvh_nodes", bvh_nodes, str)))
-    sampling = Sampling(target_error, exact_below, threads, None if resume is None else Path(resume))
-    if not scenes:
-        raise NptraceError("no scene is given; name a mesh file or a scene, e.g. estimate('sponza')")
-    named = [str(each) if isinstance(each, Path) else each for each in scenes]
-    seen = load_scenes(named, strict, offline, cameras, light)
-    found = [result for *_, result in estimate_scenes(
-        seen, trees, configs, Picture(pixels_text(pixels), order, batch, seed), sampling, layouts
-    )]  # fmt: skip
-    return Results(
-        "estimate", estimate_tables.records(found, "json"), lambda: estimate_tables.tables(found),
-        lambda: estimate_tables.flat(found),
-    )  # fmt: skip
-
-
 @checked(policy=text("fifo"), layout=text("veb"), hit=whole(1, 1), miss=whole(1, 100))
 def table1(
     sources: Sources = (), /, *, traces: Place | str = "traces", preset: str | None = None, policy: str = "lru",
@@ -355,14 +261,28 @@ def table1(
 
     Parameters
     ----------
+    sources, traces, threads
+        As those of ``replay``.
     preset : str, optional
         ``"paper2013"``: a model that the study found, in place of runs; ``n``, ``hit``, ``miss`` and ``threads`` go with it.
+    policy, layout : str
+        A single replacement, ``"lru"``, ``"fifo"`` or ``"random"``, and a single layout of the nodes.
     n : str
         Accesses per ray in the ACPR: ``"paper"``, ``"measured"``, or the kd-tree's and the BVH's, ``"15.77,27"``.
     hit, miss : int
         Cycles of a hit and of a miss, in the ACPR and in time; from 1.
     workers, scheduler
-        Those of ``replay``; each worker takes whole runs.
+        As those of ``replay``; each worker takes whole runs.
+
+    Returns
+    -------
+    Results
+        A row per tree, scene and cache: ours, the paper's, rates as fractions, sizes in bytes.
+
+    Raises
+    ------
+    NptraceError
+        A value is wrong, no run is of a scene of Table I, or a run cannot be read.
     """
     from cachesim.report import table1 as table
     from cachesim.report import table1_tables

@@ -1,6 +1,6 @@
 """Options of the caches and machines as Python takes them, texts, numbers or lists -> caches, machines, policies and layouts.
 
-``nptrace.api`` reads its arguments with them, and a study its tables.
+``import nptrace`` reads its arguments with them, and a study its tables.
 """
 
 from collections.abc import Callable, Sequence

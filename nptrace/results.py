@@ -1,4 +1,4 @@
-"""Rows of results in Python, which the functions of ``nptrace.api`` return: an Arrow table, and the tables of a command."""
+"""Rows of results in Python, which the functions of ``import nptrace`` return: an Arrow table, and the tables of a command."""
 
 import importlib
 import io

@@ -1,5 +1,5 @@
-"""The work of npcache's commands: runs and parsed options in, results out. The commands, the functions of ``nptrace.api`` and
-the studies of ``nptrace run`` share it, so that all three count the same.
+"""The work of npcache's commands: runs and parsed options in, results out. Commands, functions of ``import nptrace`` and the
+studies of ``nptrace run`` share it, so that all three count the same.
 
 ``bar`` is the line of progress; one that was not entered prints nothing.
 """

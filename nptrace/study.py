@@ -17,7 +17,8 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nptrace import api, plans, values
+import nptrace
+from nptrace import plans, values
 from nptrace.plans import listed
 from nptrace.progress import Progress
 from nptrace.scene_options import load_scenes, parse_tree, tree_params
@@ -51,7 +52,7 @@ SECTIONS, NOT_OF_A_STUDY = ("replay", "sweep", "time"), (
 
 @dataclass(frozen=True)
 class Study:
-    """A study, checked: the values of every table, with the defaults of the functions of ``nptrace.api``."""
+    """A study, checked: the values of every table, with the defaults of the functions of ``import nptrace``."""
 
     path: Path
     out: Path
@@ -117,9 +118,9 @@ def _numbers() -> tuple[str, ...]:
 
 
 def _defaults(function: str) -> dict[str, Any]:
-    """Return the options of a function of ``nptrace.api``, and their defaults."""
+    """Return the options of a function of ``import nptrace``, and their defaults."""
     left_out = (*NOT_OF_A_STUDY, "out", "name", "overwrite", "rays") if function == "render" else NOT_OF_A_STUDY
-    parameters = inspect.signature(getattr(api, function)).parameters.values()
+    parameters = inspect.signature(getattr(nptrace, function)).parameters.values()
     return {each.name: each.default for each in parameters if each.name not in left_out}
 
 

@@ -21,10 +21,19 @@ def summarise(
 
     Parameters
     ----------
+    run : Run or path
+        The whole run.
+    out : Path
+        The file.
     part : str or (int, int)
         Which of how many parts, ``"3/8"`` or ``(3, 8)``; it can be counted on another machine, at any time.
-    size to threads
-        Those of ``replay``.
+    size, ways, line, policy, prefetch, layout, three_c, threads
+        As those of ``replay``.
+
+    Returns
+    -------
+    Path
+        ``out``.
 
     Raises
     ------
@@ -47,6 +56,16 @@ def summarise(
 @checked()
 def combine(summaries: Iterable[Path | str], /) -> Results:
     """Return what ``replay`` returns for the run whose parts, all of them, these summaries are; in any order.
+
+    Parameters
+    ----------
+    summaries : list of Path or str
+        The files of ``summarise``.
+
+    Returns
+    -------
+    Results
+        The rows of ``replay``.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 import inspect
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -221,6 +222,16 @@ def test_every_public_name_is_there_and_is_described():
         assert inspect.getdoc(getattr(nt, name)), name
     with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
         _ = nt.nothing
+
+
+@pytest.mark.parametrize("name", [name for name in nt.__all__ if inspect.isfunction(getattr(nt, name))])
+def test_help_has_every_parameter_what_is_returned_and_the_errors(name):
+    function = getattr(nt, name)
+    text = inspect.getdoc(function)
+    parameters, _, rest = text.partition("\nParameters\n")[2].partition("\nReturns\n")
+    described = {each for line in re.findall(r"^\w[\w, ]*", parameters, re.MULTILINE) for each in line.strip().split(", ")}
+    assert described == set(inspect.signature(function).parameters)
+    assert "\nRaises\n" in rest and "NptraceError" in rest
 
 
 def test_importing_costs_nothing():
