@@ -235,17 +235,18 @@ def time(
     machine : str
         Where the cache and the ``numbers`` come from that are not given.
     by : str, optional
-        ``"level"``, ``"ray"``, ``"slot"`` or ``"leaf"``: return reads and requests by tree level, ray type, place on the
+        ``"level"``, ``"ray-type"``, ``"slot"`` or ``"leaf"``: return reads and requests by tree level, ray type, place on the
         stack or leaf size instead.
 
     The other parameters are those of ``replay``.
     """
     from cachesim.report import tally_tables, timing_tables
-    from nptrace.commands.time import BY
+    from nptrace.commands.time import BY, NAMES
     from nptrace.studies import timed
 
+    by = {name: tally for tally, name in NAMES.items()}.get(str(by), by)
     if by not in (None, *BY):
-        raise NptraceError(f"by: {by!r} is not one of {', '.join(BY)}")
+        raise NptraceError(f"by: {by!r} is not one of {', '.join(NAMES.get(each, each) for each in BY)}")
     machines, policies, layouts = time_plan(machine, size, ways, line, policy, seed, prefetch, layout, **numbers)
     chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts)) as bar:

@@ -78,9 +78,9 @@ def read_study(path: Path) -> Study:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text)
     except OSError as e:
-        raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML (docs/study.toml is one)") from e
+        raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML, as in `nptrace run --help`") from e
     except ValueError as e:  # not TOML, or not UTF-8
-        raise NptraceError(f"{path} is no TOML: {e}; see https://toml.io, or docs/study.toml") from e
+        raise NptraceError(f"{path} is no TOML: {e}; see https://toml.io, or `nptrace run --help`") from e
     where = _Lines(path, text)
     tables = {name: value for name, value in values.items() if isinstance(value, dict)}
     plain = {name: value for name, value in values.items() if name not in tables}

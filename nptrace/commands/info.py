@@ -32,7 +32,13 @@ def info(sources: tuple[Place, ...], folder: Place, output: Output) -> None:
     from traces.reader import open_run
 
     records, faults = [], []
-    for path in chosen_sources(sources, folder):
+    paths: list[Place] = [] if sources else chosen_sources((), folder)
+    for source in sources:
+        try:
+            paths += chosen_sources([source], folder)
+        except NptraceError as e:
+            faults.append(e)
+    for path in dict.fromkeys(paths):
         try:
             records.append(record_of(open_run(path)))
         except NptraceError as e:
