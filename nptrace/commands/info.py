@@ -76,5 +76,5 @@ def table_of(record: dict[str, Any]) -> "Table":
     """Return the table of a run, a line for each fact."""
     from nptrace_base.tables import Table
 
-    rows = [[name, str(value)] for name, value in record.items() if name != "run" and value is not None]
-    return Table(record["run"], ["fact", "value"], rows, n_left=2)
+    rows = [[name, str(value)] for name, value in record.items() if name not in ("run", "command") and value is not None]
+    return Table(record["run"], ["fact", "value"], rows, n_left=2, command=record["command"])
