@@ -46,7 +46,10 @@ def export(run: Place, form: str | None, binary: bool, prefetch: str, output: Pa
     from traces.format import printable
     from traces.reader import open_run
 
-    form = form or form_by_ending(output, {f".{each}": each for each in FORMS}, "din")
+    endings = {f".{each}": each for each in FORMS}
+    if binary and output is not None and output.suffix.lower() not in endings:
+        form = form or "din"  # which --binary says
+    form = form or form_by_ending(output, endings, "din")
     if binary and form != "din":
         raise BadInput(f"--binary is a form of DineroIV's traces, and {form} has none; leave it out")
     if binary or form == "parquet":
