@@ -36,3 +36,4 @@ npcache = Commands(
     help="Stage 2: replay node accesses through node caches.",
     epilog="Stage 1 is nptrace: render, scenes, info, view, check, export, map, run, compile.",
 )  # fmt: skip
+nptrace.other, npcache.other = npcache, nptrace

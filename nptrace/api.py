@@ -173,7 +173,7 @@ def time(
     sources, traces, policy, seed, prefetch, layout, threads
         As those of ``replay``; opt needs the future, which a clock does not know.
     by : str, optional
-        ``"level"``, ``"ray"``, ``"slot"`` or ``"leaf"``: return reads and requests by tree level, ray type, place on the
+        ``"level"``, ``"ray-type"``, ``"slot"`` or ``"leaf"``: return reads and requests by tree level, ray type, place on the
         stack or leaf size instead.
     numbers : int or list
         Of the machine: ``hit``, ``miss`` and ``every`` in cycles, ``box`` and ``triangle`` in cycles of a test, ``bandwidth``
@@ -190,11 +190,12 @@ def time(
         A value is wrong, a machine has no such number, or a run cannot be read or timed.
     """
     from cachesim.report import tally_tables, timing_tables
-    from nptrace.commands.time import BY
+    from nptrace.commands.time import BY, NAMES
     from nptrace.studies import timed
 
+    by = {name: tally for tally, name in NAMES.items()}.get(str(by), by)
     if by not in (None, *BY):
-        raise NptraceError(f"by: {by!r} is not one of {', '.join(BY)}")
+        raise NptraceError(f"by: {by!r} is not one of {', '.join(NAMES.get(each, each) for each in BY)}")
     machines, policies, layouts = time_plan(machine, size, ways, line, policy, seed, prefetch, layout, **numbers)
     chosen = _chosen(sources, traces)
     with Progress(len(chosen) * len(layouts)) as bar:

@@ -11,7 +11,7 @@ import click
 from cachesim.clock.parameters import NUMBERS, PRESETS, Clock, parse_preset
 from cachesim.config import CacheConfig, parse_bytes
 from cachesim.grid import caches, parse_sizes, parse_ways_range
-from nptrace.options import ListOf, joined, list_option, merged, seed_option
+from nptrace.options import SIZE_HELP, WAYS_HELP, Choice, ListOf, joined, merged, policy_option, seed_option
 from nptrace_base.errors import NptraceError
 
 
@@ -30,9 +30,16 @@ def parse_number(text: str) -> int:
     return int(text)
 
 
-def machine_options(function: Callable[..., Any]) -> Any:
-    """Add the options; they are passed as ``machines``."""
+def machine_options(lists: str) -> Any:
+    """Return a decorator that adds the options, passed as ``machines``; ``lists`` says what several values mean."""
 
+    def decorate(function: Callable[..., Any]) -> Any:
+        return _with_machine_options(function, lists)
+
+    return decorate
+
+
+def _with_machine_options(function: Callable[..., Any], lists: str) -> Any:
     @wraps(function)
     def command(
         machine: str, size: list[int], ways: list[tuple[str, ...]], line: list[int], policy: list[str], seed: int,
@@ -44,20 +51,15 @@ def machine_options(function: Callable[..., Any]) -> Any:
     for name, (meaning, _, _) in reversed(NUMBERS.items()):
         command = _list(f"--{name}", parse_number, "N", f"{meaning[0].upper()}{meaning[1:]}.")(command)
     command = seed_option("Seed of random replacement.")(command)
-    command = list_option(
-        "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo or random."
-    )(command)  # fmt: skip
-    command = _list("--line", parse_bytes, "SIZES", "Line sizes in bytes.")(command)
+    command = policy_option("lru", "fifo", "random", help="Replacement: lru, fifo or random.")(command)
+    command = _list("--line", parse_bytes, "SIZES", "Line sizes in bytes; that of the machine if left out.")(command)
     command = _list(
-        "--ways", parse_ways_range, "WAYS", "Numbers of ways and ranges, e.g. 1,2,full; those of the machine if left out.",
-        "--assoc",
+        "--ways", parse_ways_range, "WAYS", f"{WAYS_HELP}; that of the machine if left out.", "--assoc",
     )(command)  # fmt: skip
-    command = _list(
-        "--size", parse_sizes, "SIZES", "Cache sizes and ranges, e.g. 8K,16K; those of the machine if left out.", joins=joined
-    )(command)
+    command = _list("--size", parse_sizes, "SIZES", f"{SIZE_HELP}; that of the machine if left out.", joins=joined)(command)
     return click.option(
-        "--machine", default="paper", show_default=True, type=click.Choice(list(PRESETS)),
-        help="Where the numbers below come from that are not given; the list is below. Lists make every combination.",
+        "--machine", default="paper", show_default=True, type=Choice(list(PRESETS)),
+        help=f"Where the numbers below come from that are not given; the list is below. {lists}",
     )(command)  # fmt: skip
 
 
@@ -83,7 +85,7 @@ def one_machine(machines: Machines) -> tuple[CacheConfig, Clock]:
     if len(machines.configs) * len(machines.clocks) > 1:
         raise NptraceError(
             f"compare takes one cache and one machine, and the options ask for {len(machines.configs)} and "
-            f"{len(machines.clocks)}; use npcache time for lists"
+            f"{len(machines.clocks)}; leave the others out, or use npcache time"
         )
     return machines.configs[0], machines.clocks[0]
 

@@ -23,6 +23,8 @@ FOUND = "nptrace.found"
 
 #: Where a command keeps the texts of the options that its user typed: name of the function's parameter -> text, or a list.
 TYPED = "nptrace.typed"
+#: Where it keeps its words.
+ARGS = "nptrace.args"
 
 #: Exit status of a program that Ctrl-C ended.
 INTERRUPTED = 130
@@ -152,6 +154,7 @@ class Command(click.Command):
                 progress.say(f"{name} is now {self._old[name]}; the old spelling will go")
                 args[i] = self._old[name] + equals + value
         if not ctx.resilient_parsing:
+            ctx.meta[ARGS] = [*args]
             ctx.meta[TYPED] = self.make_parser(ctx).parse_args([*args])[0]
         return super().parse_args(ctx, args)
 
@@ -173,6 +176,7 @@ class Commands(click.Group):
 
     def __init__(self, name: str, commands: Mapping[str, str], **kwargs: Any) -> None:
         super().__init__(name, context_settings={"help_option_names": ["-h", "--help"]}, **kwargs)
+        self.other: Commands | None = None  # the other program
         self.commands, self._sentences = _Commands(name, commands), commands
         _version_option(name)(self)
 
@@ -197,6 +201,13 @@ class Commands(click.Group):
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(errors="backslashreplace")
         return super().main(*args, **kwargs)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """Return the command; one of the other program is named."""
+        name, other = args[0], self.other
+        if other is not None and name in other.commands and name not in self.commands and not ctx.resilient_parsing:
+            raise BadInput(f"{name} is a command of {other.name}, not of {self.name}; write {other.name} {name}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the names and sentences."""

@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from nptrace.groups import BadInput
+from nptrace.groups import ARGS, BadInput
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
     from cachesim.config import CacheConfig
+
+
+SIZE_HELP = "Cache sizes, and ranges of their ends and the powers of two between, e.g. 8K,16K or 4K..64K"
+WAYS_HELP = "Associativity: numbers of ways and ranges, e.g. 1,2,full or 1..16"
 
 
 def gathered(name: str, kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -34,10 +38,14 @@ def gathered(name: str, kind: type) -> Callable[[Callable[..., Any]], Callable[.
 def given(*names: str) -> list[str]:
     """Return those of the running command's parameters, by the names of its function, that its user gave, as options."""
     context = click.get_current_context()
-    typed = {each.name: each.opts[0] if isinstance(each, click.Option) else "RUN" for each in context.command.params}
+    words = {word.partition("=")[0] for word in context.meta.get(ARGS, ())}
+    typed = {
+        each.name: next((name for name in each.opts if name in words), each.opts[0])
+        for each in context.command.params if isinstance(each, click.Option)
+    }  # fmt: skip
     usual = (None, ParameterSource.DEFAULT)
     return [
-        str(typed[name]) for name in names
+        typed.get(name, "RUN") for name in names
         if context.get_parameter_source(name) not in usual and context.params[name] != ()  # no RUN is typed too
     ]  # fmt: skip
 
@@ -45,6 +53,13 @@ def given(*names: str) -> list[str]:
 def listing(words: Sequence[str], last: str = "and") -> str:
     """Return words as a part of a sentence: a, b and c."""
     return f" {last} ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+class Choice(click.Choice):
+    """One of some words, in any case."""
+
+    def __init__(self, words: Sequence[str]) -> None:
+        super().__init__(words, case_sensitive=False)
 
 
 class ListOf(click.ParamType):
@@ -111,7 +126,7 @@ def size_option() -> Any:
 
     return list_option(
         "--size", item=parse, metavar="SIZES", default="8K", callback=joined,
-        help="Cache sizes, and ranges of powers of two, e.g. 8K,16K or 4K..64K.",
+        help=f"{SIZE_HELP}.",
     )  # fmt: skip
 
 
@@ -125,15 +140,21 @@ def ways_option() -> Any:
 
     return list_option(
         "--ways", "--assoc", item=parse, metavar="WAYS", default="1",
-        help="Associativity: numbers of ways and ranges, e.g. 1,2,full or 1..16.",
+        help=f"{WAYS_HELP}.",
     )  # fmt: skip
 
 
-def policy_option() -> Any:
-    """Return the option for the replacement policies."""
-    return list_option(
-        "--policy", item=str.lower, metavar="POLICIES", default="lru", help="Replacement: lru, fifo, random, opt (Belady)."
-    )
+def policy_option(*taken: str, help: str) -> Any:
+    """Return the option for the replacement policies of a command that takes these."""
+
+    def parse(text: str) -> str:
+        from cachesim.config import POLICIES
+
+        if text.lower() not in POLICIES:
+            raise NptraceError(f"{text!r} is not a replacement policy; choose {listing(taken, 'or')}")
+        return text.lower()
+
+    return list_option("--policy", item=parse, metavar="POLICIES", default="lru", help=help)
 
 
 @dataclass(frozen=True)

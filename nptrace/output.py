@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput
-from nptrace.options import listing
+from nptrace.options import Choice, listing
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def results_options(*more: str, default: str = "table") -> Any:
                 "-o", "--output", "output_path", help="Write a file, whose ending may choose the format; - is stdout."
             ),
             click.option("--json", "as_json", is_flag=True, help="The same as --format json."),
-            click.option("--format", "form", type=click.Choice(forms), show_default=default, help="Output format."),
+            click.option("--format", "form", type=Choice(forms), show_default=default, help="Output format."),
         ):
             option(command)
         return command

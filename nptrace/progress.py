@@ -10,6 +10,7 @@ Compiling is shown below that line. A pipe gets notes and the last line only; wi
 """
 
 import sys
+import textwrap
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 import click
 
 from nptrace_base import compiling
+from nptrace_base.shell import command_lines
 
 QUIET, USUAL, VERBOSE = -1, 0, 1
 #: What -q and -v ask for; set for every command.
@@ -29,11 +31,26 @@ def say(text: str) -> None:
     """Print a note, above the line of progress if there is one; not with -q."""
     if level < USUAL:
         return
-    bar = _shown and _shown.bar
+    bar, width = _shown and _shown.bar, _width()
+    if width is not None:
+        text = textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
+    _print(text, bar)
+
+
+def _print(text: str, bar: Any = None) -> None:
     if bar:
         bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
     else:
         click.echo(text, err=True)
+
+
+def _width() -> int | None:
+    """Return the columns of the terminal that notes go to; None if they go elsewhere."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        return None
+    from rich.console import Console
+
+    return Console(stderr=True).width
 
 
 def detail(text: str) -> None:
@@ -44,7 +61,15 @@ def detail(text: str) -> None:
 
 def done(what: str, began: float, following: str = "") -> None:
     """Print the last line: what was done, since ``began`` on ``time.perf_counter``, and the command that may follow."""
-    say(f"{what} in {time.perf_counter() - began:.1f} s" + (f"; next: {following}" if following else ""))
+    text = f"{what} in {time.perf_counter() - began:.1f} s"
+    whole, width = f"{text}; next: {following}", _width()
+    if not following:
+        say(text)
+    elif level >= USUAL and (width is None or len(whole) <= width):
+        _print(whole)
+    elif level >= USUAL:  # the command, on lines that can be pasted
+        say(text)
+        _print("\n".join(["next:", *command_lines(following, width)]))
 
 
 def size_text(n_bytes: float) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from nptrace.options import ListOf, merged, seed_option
+from nptrace.options import Choice, ListOf, list_option, merged, seed_option
 from nptrace.progress import Progress, say
 from nptrace_base.errors import NptraceError
 
@@ -30,9 +30,9 @@ def accel_option() -> Any:
 
 def parse_tree(name: str) -> str:
     """Return the name of a tree."""
-    if name not in ("kdtree", "bvh"):
+    if name.lower() not in ("kdtree", "bvh"):
         raise NptraceError(f"{name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
-    return name
+    return name.lower()
 
 
 def scene_options(command: Any) -> Any:
@@ -134,6 +134,13 @@ def _parse_builder(
 BVH_NODES = ["32", "64"]
 
 
+def parse_bvh_nodes(text: str) -> str:
+    """Return the bytes of a BVH's node."""
+    if text not in BVH_NODES:
+        raise NptraceError(f"{text!r} is not one of {', '.join(BVH_NODES)}")
+    return text
+
+
 def tree_params(accel: Sequence[str], kd_text: str, bvh_text: str, bvh_nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the parameters of the builder of each kind of tree, from --accel (both if empty), --kd, --bvh and --bvh-nodes."""
     from traces.node_formats import NODE_FORMATS, formats_of
@@ -142,8 +149,10 @@ def tree_params(accel: Sequence[str], kd_text: str, bvh_text: str, bvh_nodes: Se
     formats = formats_of("bvh")
     bvh = parse_bvh(bvh_text)
     for node_bytes in bvh_nodes:
-        if node_bytes not in BVH_NODES:
-            raise NptraceError(f"bvh_nodes: {node_bytes!r} is not one of {', '.join(BVH_NODES)}")
+        try:
+            parse_bvh_nodes(node_bytes)
+        except NptraceError as e:
+            raise NptraceError(f"bvh_nodes: {e}") from e
     params |= {formats[int(node_bytes)].name: bvh for node_bytes in bvh_nodes}
     return {kind: given for kind, given in params.items() if not accel or NODE_FORMATS[kind].tree in accel}
 
@@ -175,7 +184,7 @@ class Trees:
     accel: Sequence[str] = ()
     kd_text: str = ""
     bvh_text: str = ""
-    bvh_nodes: tuple[str, ...] = ("32",)
+    bvh_nodes: Sequence[str] = ("32",)
 
     def params(self) -> dict[str, dict[str, Any]]:
         """Return the parameters of the builder of each kind of tree."""
@@ -219,16 +228,16 @@ def tree_options(command: Any) -> Any:
             help="BVH builder: sweep, exact SAH over all centroids, or binned, up to 16 bins; c_trav, c_isect, min_leaf, "
             "max_leaf.",
         ),
-        click.option(
-            "--bvh-nodes", type=click.Choice(BVH_NODES), multiple=True, default=["32"], show_default=True,
-            help="Bytes of a BVH node: 32 holds its own box, 64 both children's; give both for a run of each.",
+        list_option(
+            "--bvh-nodes", item=parse_bvh_nodes, metavar="BYTES", default="32",
+            help="Bytes of a BVH node: 32 holds its own box, 64 both children's; 32,64 makes a run of each.",
         ),
     )):  # fmt: skip
         command = option(command)
     return command
 
 
-def ray_options(pixels: str) -> Any:
+def ray_options(pixels: str, seed_help: str = "Seed of the random order.") -> Any:
     """Return a decorator that adds the options that decide the view and the rays; ``pixels`` is the usual size."""
 
     def add(command: Any) -> Any:
@@ -242,14 +251,14 @@ def ray_options(pixels: str) -> Any:
                 "--light", metavar="X,Y,Z", help="Position of the point light; by default the scene's or a fitted one."
             ),
             click.option(
-                "--order", type=click.Choice(["scanline", "tile", "morton", "hilbert", "random"]), default="scanline",
+                "--order", type=Choice(["scanline", "tile", "morton", "hilbert", "random"]), default="scanline",
                 show_default=True, help="Order in which the pixels are traced.",
             ),
             click.option(
                 "--batch", type=click.IntRange(0), default=1, show_default=True,
                 help="Primary rays traced before their shadow rays; 0 means all of them.",
             ),
-            seed_option("Seed of the random order, and of a sample."),
+            seed_option(seed_help),
         )):  # fmt: skip
             command = option(command)
         return command
@@ -261,20 +270,20 @@ def packet_options(command: Any) -> Any:
     """Add the options that decide which rays walk a tree as one, and how shadow rays do."""
     for option in reversed((
         click.option(
-            "--packet", type=click.Choice(["1", "4", "16", "64"]), default="1", show_default=True,
+            "--packet", type=Choice(["1", "4", "16", "64"]), default="1", show_default=True,
             help="Primary rays that walk the tree as one, then their shadow rays: the pixels of aligned squares, in the order "
             "of their first pixels. A node is read once for all of them; 64 with --order tile is Manta.",
         ),
         click.option(
-            "--shadow", type=click.Choice(["lit", "hit", "all"]), default="lit", show_default=True,
+            "--shadow", type=Choice(["lit", "hit", "all"]), default="lit", show_default=True,
             help="Pixels that send a shadow ray: with a hit on a surface that faces the light, with a hit, or all.",
         ),
         click.option(
-            "--shadow-order", type=click.Choice(["sign", "cheaper"]), default="sign", show_default=True,
+            "--shadow-order", type=Choice(["sign", "cheaper"]), default="sign", show_default=True,
             help="Child that a shadow ray searches first: by the sign of its direction, or the cheaper to search (RTSAH).",
         ),
         click.option(
-            "--shadow-end", type=click.Choice(["stop", "drain"]), default="stop", show_default=True,
+            "--shadow-end", type=Choice(["stop", "drain"]), default="stop", show_default=True,
             help="After the hit of a shadow ray: stop, or read on as Manta's packets do: what waits on a BVH's stack, or a "
             "kd-tree up to the closest hit.",
         ),

@@ -1,13 +1,14 @@
 """Options that choose what is replayed, shared by the commands of npcache."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
 from nptrace.groups import FOUND, BadInput
+from nptrace.options import list_option
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote, place
 
@@ -16,6 +17,8 @@ LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYT
 
 #: What ``--prefetch`` says where a list of the policies ends the help.
 PREFETCH_HELP = "Prefetch policies, e.g. none,stack:tris*2; the list is below."
+#: The same where a command takes one.
+ONE_PREFETCH_HELP = "Prefetch policy, e.g. stack:tris*2; the list is below."
 
 
 class PlaceOf(click.Path):
@@ -50,18 +53,100 @@ def untimed_policies() -> list[tuple[str, str]]:
     return [row for row in policies() if row[0] not in needs_clock]
 
 
+def prefetch_option(default: str, *, is_clocked: bool = False, also: Sequence[str] = (), help: str = PREFETCH_HELP) -> Any:
+    """Return the option for a list of prefetch policies; ``also`` are words beside them."""
+    return list_option("--prefetch", item=_policy(is_clocked, also), metavar="POLICIES", default=default, help=help)
+
+
+def one_prefetch_option(*, is_clocked: bool = False) -> Any:
+    """Return the option for one prefetch policy."""
+
+    def checked(ctx: click.Context, param: click.Parameter, value: str) -> str:
+        try:
+            return _policy(is_clocked)(value)
+        except NptraceError as e:
+            raise BadInput(f"--prefetch: {e}") from e
+
+    return click.option(
+        "--prefetch", default="traced", show_default=True, metavar="POLICY", callback=checked, help=ONE_PREFETCH_HELP
+    )  # fmt: skip
+
+
+def _policy(is_clocked: bool, also: Sequence[str] = ()) -> Callable[[str], str]:
+    """Return a function that passes on the text of a policy that there is; NptraceError names those that a command takes."""
+
+    def checked(text: str) -> str:
+        from cachesim.policies import policies as known
+
+        name = text.strip().lower().partition(":")[0]
+        if name not in known() and text not in also:
+            forms = [*also, *(form for form, _ in (policies() if is_clocked else untimed_policies()))]
+            raise NptraceError(f"there is no prefetch policy {name!r}; write one of {', '.join(forms)}")
+        return text
+
+    return checked
+
+
 def chosen_sources(sources: Sequence[Place], folder: Place) -> list[Place]:
     """Return the runs and traces to read: those named, each once, or the runs in a folder, at least one."""
     from traces.reader import find_runs
 
     if sources:
-        named = [path for source in sources for path in (_runs_in(source) or [source])]
+        named = [path for source in sources for path in (_runs_in(source) or [_checked(source)])]
         return list({_key(path): path for path in reversed(named)}.values())[::-1]
     found = find_runs(folder)
     if not found:
-        raise NptraceError(f"there is no run in {folder}; make one with `nptrace render SCENE`, or name runs or a trace")
+        what = f"there is no run in {folder}" if folder.is_dir() else f"there is no folder {folder}"
+        raise NptraceError(f"{what}; make a run with nptrace render SCENE, or name runs or a trace")
     _keep(found, folder)
     return found
+
+
+def one_run(source: Place) -> Place:
+    """Return the place of the run that is named; NptraceError if there is none, BadInput if there are several."""
+    found = chosen_sources([source], source)
+    if len(found) > 1:
+        raise BadInput(f"{source} holds {len(found)} runs; name one of them, e.g. {found[0]}")
+    return found[0]
+
+
+def _checked(source: Place) -> Place:
+    """Return a place that is named; NptraceError if nothing to be read is there, with what is."""
+    from traces.format import FILES
+    from traces.reader import holds_run
+
+    if str(source) == "-" or not isinstance(source, Path):
+        return source
+    if not source.exists():
+        raise NptraceError(f"there is no {source}; check the spelling, or make a run with nptrace render SCENE")
+    if source.is_dir():
+        if not holds_run(source):
+            raise NptraceError(f"there is no run in {source}; make one with nptrace render SCENE, or name another folder")
+    elif source.name in FILES and holds_run(source.parent):
+        raise NptraceError(f"{source} is a part of a run; name the run, {source.parent}")
+    elif source.suffix.lower() in (".csv", ".json", ".parquet") and _has_results(source):
+        raise NptraceError(f"{source} holds results, and no run; draw them with npcache plot, or name the runs they are of")
+    return source
+
+
+def _has_results(path: Path) -> bool:
+    """Return whether a file holds rows of results: those begin with the column run."""
+    import pyarrow as pa
+
+    try:
+        if path.suffix.lower() == ".parquet":
+            import pyarrow.parquet as pq
+
+            with path.open("rb") as file:
+                names = pq.read_schema(file).names
+            return "run" in names and "address" not in names
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            start = file.read(1000)
+    except (OSError, ValueError, pa.ArrowException):
+        return False  # whoever reads it says what is wrong
+    return (start.startswith(b"run,") and b",address" not in start.splitlines()[0]) or b'"run":' in start
 
 
 def _keep(found: Sequence[Place], folder: Place) -> None:

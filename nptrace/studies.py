@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nptrace.progress import Progress, detail, say
+from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 from traces.reader import Run
 
@@ -100,7 +101,6 @@ def replayed(
 
 def check_whole(by: str | None, reads: str, flush: str, *, has_workers: bool = False) -> None:
     """Raise NptraceError for options that only the replay of a whole trace knows, or one by one counter."""
-    from nptrace_base.errors import NptraceError
 
     if by is not None and (reads, flush) != ("own", "never"):
         raise NptraceError(f"reads {reads} and flush {flush} are for the counts of whole caches, not by {by}; leave by out")
@@ -118,7 +118,7 @@ def summarised(
     from cachesim.parts import Part, pass_through
     from cachesim.replay import Replay
     from cachesim.source import RunSource
-    from cachesim.summary import check_parts
+    from cachesim.summary import reason_against
     from cachesim.summary_file import Asked, write_part
 
     asked, summaries, source = [], [], None
@@ -127,7 +127,8 @@ def summarised(
         source = Part(whole, *part, {})
         for prefetch in prefetches:
             question = Replay(tuple(configs), prefetch, three_c)
-            check_parts(question.configs, question.policy)
+            if reason := reason_against(question.configs, question.policy):
+                raise NptraceError(f"parts of a run cannot be replayed apart: {reason}; use npcache replay for the whole run")
             bar.job(f"part {part[0]} of {part[1]}")
             advance = bar.phase(f"replay, prefetch {prefetch}", source.n_events)
             asked.append(Asked(str(layout), question))
@@ -280,7 +281,6 @@ def preset_rows(name: str, bar: Progress, *, equation: "Equation", threads: int 
 def table1_runs(runs: Sequence[Run], where: Any) -> dict[tuple[str, str], Run]:
     """Return the runs of Table I's scenes; NptraceError, which says where they were looked for, if there is none."""
     from cachesim.report import table1 as table
-    from nptrace_base.errors import NptraceError
 
     chosen = table.choose_runs(runs)
     if not chosen:

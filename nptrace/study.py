@@ -82,9 +82,9 @@ def read_study(path: Path) -> Study:
         text = path.read_text(encoding="utf-8")
         found = tomllib.loads(text)
     except OSError as e:
-        raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML (docs/study.toml is one)") from e
+        raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML, as in `nptrace run --help`") from e
     except (ValueError, RecursionError) as e:  # not TOML, not UTF-8, or thousands of brackets
-        raise NptraceError(f"{path} is no TOML: {e}; see https://toml.io, or docs/study.toml") from e
+        raise NptraceError(f"{path} is no TOML: {e}; see https://toml.io, or `nptrace run --help`") from e
     where = _Lines(path, text)
     tables = {name: value for name, value in found.items() if isinstance(value, dict)}
     plain = {name: value for name, value in found.items() if name not in tables}

@@ -8,10 +8,13 @@ A new command makes its tables with ``n_left`` key columns (which run, which cac
 reader misses least; ``nptrace.output.Output`` prints them. ``traces.identity.labels`` makes the text of a run's key column.
 """
 
+import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TextIO
+
+from nptrace_base.shell import command_lines
 
 #: Columns of a note in a pipe or a file, and on a terminal that is wider.
 NOTE_WIDTH = 110
@@ -31,6 +34,8 @@ class Table:
         The rows after which a line or a gap is drawn.
     extra : sequence of str
         Headings of the columns without which a narrow terminal does, the first to go first.
+    command : str
+        A command line that belongs to the table, to be printed below it as a shell can read it.
     """
 
     title: str
@@ -39,6 +44,7 @@ class Table:
     n_left: int = 1
     sections: set[int] = field(default_factory=set)
     extra: Sequence[str] = ()
+    command: str = ""
 
 
 def number(value: float | None, decimals: int = 0, *, sign: bool = False, group: str = ",") -> str:
@@ -75,15 +81,37 @@ def print_tables(tables: Sequence[Table], notes: Sequence[str], file: TextIO, *,
     """
     width = width_of(file)
     left_out: dict[str, None] = {}
+    kept: set[str] = set()
     for table in tables:
         shown, gap, widths = fitted(table, None if is_wide else width)
         left_out |= {_one_line(name): None for name in table.header if name not in shown.header}
+        kept |= {_one_line(name) for name in shown.header}
         _print_table(shown, gap, widths, width, file)
+        if table.command:
+            print("\n".join(command_lines(table.command, width)), end="\n\n", file=file)
     if left_out:
+        notes = [*filter(None, (_without(note, left_out.keys() - kept, kept) for note in notes))]
         columns = f"{len(left_out)} column{'s' if len(left_out) > 1 else ''}"
         notes = [*notes, f"--wide prints {columns} more: {', '.join(left_out)}."]
     for note in notes:
         print(textwrap.fill(note, min(width or NOTE_WIDTH, NOTE_WIDTH)), file=file)
+
+
+def _without(note: str, hidden: Iterable[str], kept: Iterable[str]) -> str:
+    """Return a note without its clauses, ``NAME = ...`` or ``NAME: ...``, that explain columns which are not shown."""
+    sentences = []
+    for sentence in re.split(r"(?<=\.) ", note):
+        clauses = [
+            each for each in sentence.rstrip(".").split("; ") if not (_explains(each, hidden) and not _explains(each, kept))
+        ]
+        sentences += ["; ".join(clauses) + ("." if sentence.endswith(".") else "")] if clauses else []
+    return " ".join(sentences)
+
+
+def _explains(clause: str, columns: Iterable[str]) -> bool:
+    """Return whether a clause says what one of some columns is: by its heading, or the first words of it."""
+    named = re.match(r"([^=:]+?)(?: =|:) ", clause)
+    return named is not None and any(f"{name} ".startswith(f"{named[1].removesuffix(' %')} ") for name in columns)
 
 
 def fitted(table: Table, width: int | None) -> tuple[Table, int, list[int]]:
@@ -158,6 +186,8 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str]) -> str:
         rule = ["---" if i < table.n_left else "---:" for i in range(len(table.header))]
         lines = [[_one_line(name) for name in table.header], rule, *table.rows]
         parts.append("\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in lines) + "\n")
+        if table.command:
+            parts.append(f"```sh\n{table.command}\n```\n")
     return "\n".join([*parts, *(note + "\n" for note in notes)])
 
 
@@ -175,6 +205,8 @@ def to_latex(tables: Sequence[Table], notes: Sequence[str]) -> str:
             if i in table.sections and i + 1 < len(table.rows):
                 lines.append("\\midrule")
         parts.append("\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""]))
+        if table.command:
+            parts.append("\n".join(["\\begin{verbatim}", table.command, "\\end{verbatim}", ""]))
     return "\n\n".join([*parts, *(_latex(note) + "\n" for note in notes)])
 
 

@@ -16,11 +16,13 @@ _KEYS = (*COLUMNS, "size_bytes", "ways", "line_bytes", "policy", "policy_seed", 
 _OF_REQUESTS = ("slot", "leaf")
 
 _TITLES = {"level": "level", "ray": "ray", "slot": "place on\nthe stack", "leaf": "leaf\nsize"}
+#: What rows call a tally by, where the clock calls it otherwise.
+_NAMES = {"ray": "ray-type"}
 _SHARED = "A request of a unit that all rays share counts for the ray in the first slot."
 _NOTES = {
     "level": "level: of the node that is read or requested, from the root's 0; where a policy requests a line, of the node "
     "nearest the root on it.",
-    "ray": f"ray: of the ray that reads, or for which a node is requested. {_SHARED}",
+    "ray": f"ray: type of the ray that reads, or for which a node is requested. {_SHARED}",
     "slot": f"place on the stack: of the node when it is requested, from the top's 0. {_SHARED}",
     "leaf": f"leaf size: triangles of the leaf that the ray tests at the request, 0 if it tests none. {_SHARED}",
 }
@@ -53,7 +55,8 @@ def classes(result: Timing, by: str) -> list[dict[str, Any]]:
         requests = counts["redundant"] + counts["joined"] + counts["filled"]
         if reads or requests:
             found.append({
-                "by": by, "class": _name(i, len(result.tally), by), "demand_reads": reads, "demand_missed": missed,
+                "by": _NAMES.get(by, by), "class": _name(i, len(result.tally), by),
+                "demand_reads": reads, "demand_missed": missed,
                 "demand_miss_rate": None if reads is None or missed is None else ratio(missed, reads),
                 "requests": requests, "redundant": counts["redundant"], "joined": counts["joined"], "filled": counts["filled"],
                 "timely": counts["timely"], "late": counts["late"], "evicted_unused": counts["evicted"],

@@ -8,10 +8,10 @@ import click
 from nptrace.clock_options import Machines, machine_options, machine_sources, one_machine
 from nptrace.following import again, following
 from nptrace.groups import Command
-from nptrace.options import list_option, threads_option, workers_options
+from nptrace.options import threads_option, workers_options
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, policies, traces_option
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, policies, prefetch_option, traces_option
 from nptrace_base.places import Place
 
 
@@ -20,10 +20,8 @@ from nptrace_base.places import Place
 )
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
-@machine_options
-@list_option(
-    "--prefetch", item=str, metavar="POLICIES", default="all", help="Prefetch policies of the list below; all: the usual ones."
-)
+@machine_options("One cache and one machine.")
+@prefetch_option("all", is_clocked=True, also=["all"], help=f"{PREFETCH_HELP} all: the usual ones.")
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @click.option(
     "--baselines/--no-baselines", default=True, show_default=True, help="Compare line sizes, alignments and node orders."

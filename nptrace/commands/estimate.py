@@ -10,7 +10,17 @@ from cachesim.config import parse_bytes
 from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.following import following
 from nptrace.groups import BadInput, Command
-from nptrace.options import Caches, gathered, given, list_option, listing, size_option, threads_option, ways_option
+from nptrace.options import (
+    Caches,
+    gathered,
+    given,
+    list_option,
+    listing,
+    policy_option,
+    size_option,
+    threads_option,
+    ways_option,
+)
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import done
 from nptrace.scene_options import Picture, Scenes, Trees, ray_options, scene_options, tree_options
@@ -23,15 +33,17 @@ from nptrace_base.shell import word
 @tree_options
 @size_option()
 @ways_option()
-@list_option("--line", item=parse_bytes, metavar="SIZE", default="32", help="Line size in bytes; one at a time.")
-@list_option("--policy", item=str.lower, metavar="POLICY", default="lru", help="Replacement: lru alone can be estimated.")
+@list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes; one at a time.")
+@policy_option("lru", help="Replacement: lru alone can be estimated.")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
-@click.option("--table1", "is_table1", is_flag=True, help="Use the four caches of Table I instead of --size and --assoc.")
+@click.option(
+    "--table1", "is_table1", is_flag=True, help="Use the four caches of Table I instead of --size, --ways and --line."
+)
 @click.option(
     "--target-error", "error", default="2%,0.05pp", show_default=True, metavar="ERROR",
     help="Half-width allowed for every miss rate: relative (2%), in percentage points (0.05pp), or the wider of both.",
 )  # fmt: skip
-@ray_options("2048x2048")
+@ray_options("2048x2048", "Seed of the sample, and of the random order.")
 @click.option(
     "--exact-below", type=click.IntRange(0), default=100_000_000, show_default=True, metavar="N",
     help="Count runs of up to N predicted accesses exactly, without sampling.",

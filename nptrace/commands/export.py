@@ -6,9 +6,10 @@ from pathlib import Path
 import click
 
 from nptrace.groups import BadInput, Command
+from nptrace.options import Choice
 from nptrace.output import form_by_ending, output_option, refuse_terminal
 from nptrace.progress import Progress, done, say
-from nptrace.sources import PlaceOf
+from nptrace.sources import PlaceOf, one_run
 from nptrace_base.places import Place
 from nptrace_base.shell import word
 
@@ -18,14 +19,14 @@ FORMS = ("din", "csv", "parquet")
 @click.command(cls=Command, old={"--to": "--format", "--prefetch": "--prefetch-as"})
 @click.argument("run", type=PlaceOf())
 @click.option(
-    "--format", "form", type=click.Choice(FORMS), show_default="by the ending of -o, or din",
+    "--format", "form", type=Choice(FORMS), show_default="by the ending of -o, or din",
     help="DineroIV's traces, or columns address, type and size.",
 )  # fmt: skip
 @click.option("--binary", is_flag=True, help="Write DineroIV's binary records instead of text.")
 @click.option(
     "--prefetch-as",
     "prefetch",
-    type=click.Choice(["b", "read", "misc", "omit"]),
+    type=Choice(["b", "read", "misc", "omit"]),
     default="b",
     show_default=True,
     help="Access type of the prefetch requests: b, read (0) or misc (3); omit leaves them out.",
@@ -45,12 +46,15 @@ def export(run: Place, form: str | None, binary: bool, prefetch: str, output: Pa
     from traces.format import printable
     from traces.reader import open_run
 
-    form = form or form_by_ending(output, {f".{each}": each for each in FORMS}, "din")
+    endings = {f".{each}": each for each in FORMS}
+    if binary and output is not None and output.suffix.lower() not in endings:
+        form = form or "din"  # which --binary says
+    form = form or form_by_ending(output, endings, "din")
     if binary and form != "din":
         raise BadInput(f"--binary is a form of DineroIV's traces, and {form} has none; leave it out")
     if binary or form == "parquet":
         refuse_terminal(output or Path(), "a trace in binary records" if binary else "Parquet")
-    opened, began = open_run(run), time.perf_counter()
+    opened, began = open_run(one_run(run)), time.perf_counter()
     target = output or Path(f"{opened.name}.{form}")
     with Progress(1) as bar:
         bar.job(opened.name)

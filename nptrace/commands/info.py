@@ -32,7 +32,13 @@ def info(sources: tuple[Place, ...], folder: Place, output: Output) -> None:
     from traces.reader import open_run
 
     records, faults = [], []
-    for path in chosen_sources(sources, folder):
+    paths: list[Place] = [] if sources else chosen_sources((), folder)
+    for source in sources:
+        try:
+            paths += chosen_sources([source], folder)
+        except NptraceError as e:
+            faults.append(e)
+    for path in dict.fromkeys(paths):
         try:
             records.append(record_of(open_run(path)))
         except NptraceError as e:
@@ -70,5 +76,5 @@ def table_of(record: dict[str, Any]) -> "Table":
     """Return the table of a run, a line for each fact."""
     from nptrace_base.tables import Table
 
-    rows = [[name, str(value)] for name, value in record.items() if name != "run" and value is not None]
-    return Table(record["run"], ["fact", "value"], rows, n_left=2)
+    rows = [[name, str(value)] for name, value in record.items() if name not in ("run", "command") and value is not None]
+    return Table(record["run"], ["fact", "value"], rows, n_left=2, command=record["command"])

@@ -21,7 +21,7 @@ from nptrace_base.places import place
 @click.option("--quick", is_flag=True, help="Two leaf sizes and two machines, in a minute.")
 @click.option(
     "--part", "parts", type=click.IntRange(1, 16), metavar="N", default=1, show_default=True,
-    help="Time every N-th piece of the rays, for speed-ups with 95 % intervals in less time (docs/speed-error.md).",
+    help="Time every N-th piece of the rays, for speed-ups with 95 % intervals in less time.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path), default="traces/map", show_default=True,

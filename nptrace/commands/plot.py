@@ -7,12 +7,13 @@ from typing import Any
 
 import click
 
-from cachesim.config import CacheConfig, parse_bytes, parse_ways
+from cachesim.config import parse_bytes
 from nptrace.groups import BadInput, Command
-from nptrace.options import ListOf, joined, listing, merged, threads_option
+from nptrace.ignored import refuse
+from nptrace.options import SIZE_HELP, WAYS_HELP, Choice, ListOf, joined, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources
+from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, untimed_policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote
 
@@ -33,7 +34,8 @@ _USUAL = {"curves": ("4K..64K", "1,2,4,8"), "account": ("8K,16K", "1,2"), "level
 
 def _list(name: str, *others: str, item: Any, metavar: str, help: str, callback: Callable[..., Any] = merged) -> Any:
     return click.option(
-        name, *others, type=ListOf(metavar, item), metavar=metavar, multiple=True, callback=callback, help=f"Of runs: {help}"
+        name, *others, type=ListOf(metavar, item), metavar=metavar, multiple=True, callback=callback,
+        help=f"Of runs: {help[0].lower()}{help[1:]}",
     )  # fmt: skip
 
 
@@ -43,22 +45,30 @@ def _sizes(text: str) -> list[int]:
     return parse_sizes(text)
 
 
-@click.command(cls=Command)
+def _ways(text: str) -> tuple[str, ...]:
+    from cachesim.grid import parse_ways_range
+
+    return parse_ways_range(text)
+
+
+@click.command(cls=Command, lists={"Prefetch policies": untimed_policies})
 @click.argument("sources", metavar="RESULTS|RUN...", nargs=-1, type=PlaceOf())
 @click.option(
-    "--kind", type=click.Choice(list(KINDS)),
+    "--kind", type=Choice(list(KINDS)),
     help=f"What to draw: {'; '.join(f'{name}: {text}' for name, text in KINDS.items())}. Else what the results say.",
 )  # fmt: skip
-@_list("--size", item=_sizes, metavar="SIZES", help="cache sizes and ranges, e.g. 4K..64K.", callback=joined)
-@_list("--assoc", "--ways", item=str, metavar="WAYS", help="associativity, e.g. 1,2,full.")
-@_list("--line", item=parse_bytes, metavar="SIZES", help="line sizes in bytes.")
-@_list("--prefetch", item=str, metavar="POLICIES", help="prefetch policies, as in npcache replay.")
-@_list("--layout", item=str, metavar="LAYOUTS", help=LAYOUT_HELP[0].lower() + LAYOUT_HELP[1:])
+@_list("--size", item=_sizes, metavar="SIZES", help=f"{SIZE_HELP}.", callback=joined)
+@_list("--ways", "--assoc", item=_ways, metavar="WAYS", help=f"{WAYS_HELP}.")
+@_list("--line", item=parse_bytes, metavar="SIZES", help="Line sizes in bytes.")
+@_list("--prefetch", item=str, metavar="POLICIES", help=PREFETCH_HELP)
+@_list("--layout", item=str, metavar="LAYOUTS", help=LAYOUT_HELP)
 @threads_option()
-@output_option("-o", "--output", "path", binary="a picture", help="The picture: .png, .svg or .pdf; - is stdout.")
+@output_option(
+    "-o", "--output", "path", binary="a picture", help="The picture, which is required: .png, .svg or .pdf; - is stdout."
+)
 def plot(
-    sources: tuple[Place, ...], kind: str | None, size: list[int], assoc: list[str], line: list[int], prefetch: list[str],
-    layout: list[str], threads: int, path: Path | None,
+    sources: tuple[Place, ...], kind: str | None, size: list[int], ways: list[tuple[str, ...]], line: list[int],
+    prefetch: list[str], layout: list[str], threads: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Draw results that npcache replay, sweep, time, compare and table1 wrote with -o, or runs.
 
@@ -79,25 +89,22 @@ def plot(
         raise BadInput("name the picture with -o, for instance -o plot.png")
     check_plot(path)
     of_runs = [each for each in sources if isinstance(each, Remote) or each.is_dir() or each.suffix.lower() == ".din"]
-    given = [name for name, value in (("--size", size), ("--assoc", assoc), ("--line", line), ("--prefetch", prefetch),
-                                      ("--layout", layout)) if value]  # fmt: skip
     if of_runs and len(of_runs) < len(sources):
         others = next(source for source in sources if source not in of_runs)
         raise BadInput(f"{of_runs[0]} is a run and {others} holds results; draw runs or results, not both at once")
     if not of_runs:
-        if given:
-            raise BadInput(f"{given[0]} is for runs, and results have their caches; leave it out, or name a run")
+        refuse("results have their caches and policies", "size", "ways", "line", "prefetch", "layout", way=", or name runs")
         kind, n = _draw_results([Path(str(source)) for source in sources], kind, path)
     else:
         kind = kind or "distances"
         if kind not in OF_RUNS:
             raise BadInput(f"--kind {kind} needs results, of npcache {_WRITTEN_BY[kind]} -o FILE; name that file")
-        caches = [name for name in given if name in ("--size", "--assoc")]
-        if kind == "distances" and caches:
-            raise BadInput(f"--kind distances shows caches of every size; leave out {listing(caches)}, or name another kind")
-        usual = _USUAL[kind]
-        size = size or [each for text in usual[0].split(",") for each in _sizes(text)]
-        cases = Cases(size, assoc or usual[1].split(","), line or [32], prefetch or ["traced"], layout or ["stored"])
+        if kind == "distances":
+            refuse("--kind distances shows caches of every size", "size", "ways", way=", or name another kind")
+        sizes, numbers = _USUAL[kind]
+        size = size or [each for text in sizes.split(",") for each in _sizes(text)]
+        ways = ways or [(each,) for each in numbers.split(",")]
+        cases = Cases(size, ways, line or [32], prefetch or ["traced"], layout or ["stored"])
         n = _draw_runs(chosen_sources(of_runs, Path()), kind, cases, path, threads)
     done(f"{path}: {KINDS[kind]}, of {n} row{'s' * (n != 1)}", began)
 
@@ -109,12 +116,12 @@ class Cases:
     """The caches, policies and layouts that runs go through."""
 
     def __init__(
-        self, sizes: list[int], ways: list[str], lines: list[int], prefetches: list[str], layouts: list[str]
+        self, sizes: list[int], ways: list[tuple[str, ...]], lines: list[int], prefetches: list[str], layouts: list[str]
     ) -> None:  # fmt: skip
+        from cachesim.grid import caches
+
         self.lines, self.prefetches, self.layouts = lines, prefetches, layouts
-        self.configs = [
-            CacheConfig(size, parse_ways(each, size, line), line) for line in lines for size in sizes for each in ways
-        ]
+        self.configs = caches(sizes, ways, lines)
 
 
 def _draw_results(paths: Sequence[Path], kind: str | None, path: Path) -> tuple[str, int]:

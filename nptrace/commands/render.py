@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @click.option(
     "--out", type=PlaceOf(), default="traces", show_default=True,
-    help="Folder for the runs, also in an object store: s3://, gs:// or abfs:// (docs/storage.md).",
+    help="Folder for the runs, also in an object store: s3://, gs:// or abfs://, with keys from the environment.",
 )  # fmt: skip
 @click.option(
     "--name", "run_names", multiple=True, metavar="NAME",

@@ -9,6 +9,7 @@ from nptrace.following import again, following
 from nptrace.groups import BadInput, Command
 from nptrace.options import (
     Caches,
+    Choice,
     gathered,
     list_option,
     policy_option,
@@ -20,7 +21,7 @@ from nptrace.options import (
 )
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, traces_option, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, prefetch_option, traces_option, untimed_policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 
@@ -34,24 +35,24 @@ BY = ("pixel", "level", "node", "ray-type")
 @size_option()
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
-@policy_option()
+@policy_option("lru", "fifo", "random", "opt", help="Replacement: lru, fifo, random, opt (Belady).")
 @seed_option("Seed of random replacement.")
-@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
+@prefetch_option("traced")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option(
-    "--reads", type=click.Choice(["own", "children", "merged"]), default="own", show_default=True,
+    "--reads", type=Choice(["own", "children", "merged"]), default="own", show_default=True,
     help="What a visit reads: its node; both children of a node that is entered, at once; or its node unless that lies in the "
     "line read last.",
 )  # fmt: skip
 @click.option(
-    "--flush", type=click.Choice(["never", "ray"]), default="never", show_default=True,
+    "--flush", type=Choice(["never", "ray"]), default="never", show_default=True,
     help="Empty the caches after every ray (lru and fifo).",
 )  # fmt: skip
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
 @click.option(
     "--by",
-    type=click.Choice(BY),
-    help="Write where the counts of a run fall: a row for each pixel, level, node or type of ray.",
+    type=Choice(BY),
+    help="Print the counts of a run by pixel, tree level, node or ray type instead: a row for each.",
 )
 @threads_option()
 @workers_options

@@ -15,7 +15,7 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import threads_option
 from nptrace.output import output_option, write_out
 from nptrace.progress import Progress, done, say, size_text
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, traces_option, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, one_prefetch_option, traces_option, untimed_policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 from nptrace_base.shell import word
@@ -36,11 +36,11 @@ SIZES, WAYS, HEAT = "4K..64K", "1,2,4,8", ("accesses", "misses")
 )
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
-@machine_options
-@click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=PREFETCH_HELP)
+@machine_options("One machine; the first cache is that of the maps, the levels and the clock.")
+@one_prefetch_option()
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @threads_option()
-@output_option("-o", "--output", "path", help="The page: .html; - is stdout.")
+@output_option("-o", "--output", "path", help="The page, which is required: .html; - is stdout.")
 def report(
     sources: tuple[Place, ...], folder: Place, machines: Machines, prefetch: str, layout: str, threads: int, path: Path | None,
 ) -> None:  # fmt: skip

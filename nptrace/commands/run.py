@@ -25,7 +25,20 @@ def run(study: Path, threads: int, output: Output) -> None:
     """Do a study: scenes, cameras, orders, trees, caches, policies and layouts from one file, to one table of all rows.
 
     The same command goes on where it stopped: it keeps the runs and the rows that are finished. The rows go to STUDY.parquet,
-    in this folder, unless you give -o or --format. docs/study.toml is a study with every key.
+    in this folder, unless you give -o or --format.
+
+    \b
+    A study:
+      out = "traces"
+      [render]
+      scenes = ["bunny", "model.obj"]
+      order = ["scanline", "morton"]
+      [replay]
+      size = "4K..64K"
+      prefetch = ["none", "stack"]
+      [time]
+      machine = "rtx2060"
+    The keys of a table are the options of the command of its name.
 
     \b
     nptrace run study.toml

@@ -10,25 +10,26 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import Caches, gathered, list_option, policy_option, size_option, threads_option, ways_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done, size_text
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PlaceOf, one_run, prefetch_option, untimed_policies
+from nptrace_base.places import Place
 from nptrace_base.shell import word
 
 
 @click.command(cls=Command, lists={"Prefetch policies": untimed_policies})
-@click.argument("run", type=click.Path(path_type=Path))
+@click.argument("run", type=PlaceOf())
 @click.option("--part", metavar="I/N", required=True, help="Which of how many parts, e.g. 3/8.")
 @size_option()
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
-@policy_option()
-@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
+@policy_option("lru", help="Replacement: lru alone can be replayed in parts.")
+@prefetch_option("traced")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
 @threads_option()
-@output_option("-o", "--output", "out", help="The file to write, e.g. 3.sum.")
+@output_option("-o", "--output", "out", help="The file to write, which is required, e.g. 3.sum.")
 @gathered("caches", Caches)
 def summarise(
-    run: Path, part: str, caches: Caches, prefetch: list[str], layout: list[str], three_c: bool, threads: int,
+    run: Place, part: str, caches: Caches, prefetch: list[str], layout: list[str], three_c: bool, threads: int,
     out: Path | None,
 ) -> None:  # fmt: skip
     """Replay a part of a run, and write a summary from which npcache combine makes the exact results of the whole run.
@@ -50,7 +51,7 @@ def summarise(
     began, configs, chosen = time.perf_counter(), caches.configs(), parse_part(part)
     with Progress(len(layout) * len(prefetch)) as bar:
         n, n_bytes = summarised(
-            open_run(run), configs, prefetch, layout, chosen, out, bar, three_c=three_c, threads=threads
+            open_run(one_run(run)), configs, prefetch, layout, chosen, out, bar, three_c=three_c, threads=threads
         )  # fmt: skip
     done(f"part {chosen[0]} of {chosen[1]}, {n:,} accesses, {size_text(n_bytes)}", began, _following(out, chosen[1]))
 

@@ -12,7 +12,7 @@ from nptrace.groups import Command
 from nptrace.options import list_option, threads_option, ways_option, workers_options
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, traces_option, untimed_policies
+from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, prefetch_option, traces_option, untimed_policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 
@@ -23,10 +23,16 @@ if TYPE_CHECKING:
 @click.command(cls=Command, lists={"Prefetch policies": untimed_policies})
 @click.argument("sources", metavar="[RUN | FILE | -]...", nargs=-1, type=PlaceOf())
 @traces_option()
-@list_option("--size", item=str, metavar="SIZES", default="4K..64K", help="Cache sizes and ranges, e.g. 4K..64K,96K.")
+@list_option(
+    "--size",
+    item=str,
+    metavar="SIZES",
+    default="4K..64K",
+    help="Cache sizes, and ranges of all sizes with a power of two of sets, e.g. 4K..64K,96K.",
+)
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
-@list_option("--prefetch", item=str, metavar="POLICIES", default="traced", help=PREFETCH_HELP)
+@prefetch_option("traced")
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @threads_option()
 @workers_options

@@ -9,7 +9,7 @@ import click
 from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.following import following, named
 from nptrace.groups import BadInput, Command
-from nptrace.options import gathered, given, listing, seed_option, threads_option, workers_options
+from nptrace.options import Choice, gathered, given, listing, seed_option, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
@@ -40,19 +40,23 @@ class Acpr:
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
 @click.option(
-    "--preset", type=click.Choice(list(PRESETS)),
-    help="Table I under a model that the study found, without runs: a fit of B/A, see docs/study.md.",
+    "--preset", type=Choice(list(PRESETS)),
+    help="Table I under a model that the study found, without runs: a fit of B/A, not of A.",
 )  # fmt: skip
 @click.option(
     "--target-error", "error", metavar="ERROR",
     help="Estimate the table for large pictures, without runs: 2%, 0.05pp or 2%,0.05pp, as in npcache estimate.",
 )  # fmt: skip
 @click.option(
-    "--pixels", default="2048x2048", show_default=True, metavar="WxH", help="With --target-error: size of the picture."
+    "--pixels",
+    default="2048x2048",
+    show_default=True,
+    metavar="WxH",
+    help="With --target-error: size of the picture in pixels.",
 )
 @seed_option("With --target-error: seed of the sample.")
 @click.option(
-    "--policy", type=click.Choice(["lru", "fifo", "random"]), default="lru", show_default=True,
+    "--policy", type=Choice(["lru", "fifo", "random"]), default="lru", show_default=True,
     help="Replacement; with --target-error lru alone. The clock's caches know no opt.",
 )  # fmt: skip
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
@@ -61,7 +65,9 @@ class Acpr:
     help="Accesses per ray in the ACPR: paper, 15.77 and 27; measured; or the kd-tree's and the BVH's, as 15.77,27.",
 )  # fmt: skip
 @click.option("--hit", type=click.IntRange(1), default=1, show_default=True, help="Cycles of a hit, in the ACPR and in time.")
-@click.option("--miss", type=click.IntRange(1), default=100, show_default=True, help="Cycles of a miss, likewise.")
+@click.option(
+    "--miss", type=click.IntRange(1), default=100, show_default=True, help="Cycles of a miss, in the ACPR and in time."
+)
 @threads_option()
 @workers_options
 @results_options()

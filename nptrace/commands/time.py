@@ -2,20 +2,34 @@
 
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
 from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.following import again, following
 from nptrace.groups import BadInput, Command
-from nptrace.options import list_option, threads_option
+from nptrace.options import Choice, list_option, threads_option
 from nptrace.output import Output, output_option, results_options
-from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, policies, traces_option
+from nptrace.progress import Progress, done, say
+from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, policies, prefetch_option, traces_option
 from nptrace_base.places import Place
 
-#: The tallies of the clock that can be printed.
-BY = ("level", "ray", "slot", "leaf")
+#: The tallies of the clock that can be printed, and how an option and the rows call one, as npcache replay does.
+BY, NAMES = ("level", "ray", "slot", "leaf"), {"ray": "ray-type"}
+
+
+class ByChoice(Choice):
+    """A tally of the clock, as ``BY`` has it, by its name; that of the clock is the old spelling."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the tally."""
+        if value in NAMES:
+            say(f"--by {value} is now --by {NAMES[value]}; the old spelling will go")
+            return value
+        tallies = {name: by for by, name in NAMES.items()}
+        found = super().convert(value, param, ctx)
+        return tallies.get(found, found)
 
 
 @click.command(
@@ -23,16 +37,16 @@ BY = ("level", "ray", "slot", "leaf")
 )
 @click.argument("sources", metavar="[RUN]...", nargs=-1, type=PlaceOf())
 @traces_option()
-@machine_options
-@list_option("--prefetch", item=str, metavar="POLICIES", default="stack", help=PREFETCH_HELP)
+@machine_options("Lists make every combination.")
+@prefetch_option("stack", is_clocked=True)
 @list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
 @output_option(
     "--timeline", "timeline", help="Write some cycles of one case as a trace-event file, for Perfetto or chrome://tracing."
 )
 @click.option(
     "--by",
-    type=click.Choice(BY),
-    help="Print reads and requests by tree level, ray type, place on the stack or leaf size instead.",
+    type=ByChoice([NAMES.get(by, by) for by in BY]),
+    help="Print reads and requests by tree level, ray type, place on the stack or leaf size instead: a row for each.",
 )
 @threads_option()
 @results_options()

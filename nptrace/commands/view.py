@@ -14,7 +14,7 @@ from nptrace.ignored import refuse
 from nptrace.options import ListOf, given, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, policies
+from nptrace.sources import LAYOUT_HELP, PlaceOf, one_prefetch_option, policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 
@@ -32,9 +32,9 @@ KINDS = (
 
 def parse_kind(text: str) -> str:
     """Return a kind of heat map."""
-    if text.strip() not in KINDS:
+    if (kind := text.strip().lower()) not in KINDS:
         raise NptraceError(f"{text!r} is no kind of heat map; choose from {', '.join(KINDS)}")
-    return text.strip()
+    return kind
 
 
 @click.command(
@@ -47,12 +47,16 @@ def parse_kind(text: str) -> str:
 )  # fmt: skip
 @click.option("--difference", is_flag=True, help="Show the first run, and each other one minus the first.")
 @click.option("--enlarge", type=click.IntRange(1, 64), metavar="N", help="Dots per pixel of the run, on either side.")
-@machine_options
-@click.option("--prefetch", default="traced", show_default=True, metavar="POLICY", help=PREFETCH_HELP)
+@machine_options("One cache and one machine.")
+@one_prefetch_option(is_clocked=True)
 @click.option("--layout", default="stored", show_default=True, metavar="LAYOUT", help=LAYOUT_HELP)
 @threads_option()
 @output_option(
-    "-o", "--output", "path", binary="a picture", help="The picture: .png; heat maps also .svg and .pdf; - is stdout."
+    "-o",
+    "--output",
+    "path",
+    binary="a picture",
+    help="The picture: .png; heat maps also .svg and .pdf; - is stdout; by default RUN.png or RUN-KIND.png.",
 )
 def view(
     sources: tuple[Place, ...], kinds: list[str], difference: bool, enlarge: int | None, machines: Machines, prefetch: str,

@@ -30,5 +30,5 @@ def note(name: str) -> str:
         trees[TREES[tree]] = ", ".join(f"{knob} {value}" for knob, value in values.items() if value != getattr(usual, knob))
     return (
         f"{name} is a fit of B/A, not of A, and not what the paper describes: it shows that such B/A are possible, not how "
-        "they were made (docs/study.md). " + "; ".join(f"{tree}: {text}" for tree, text in trees.items()) + "."
+        "they were made. " + "; ".join(f"{tree}: {text}" for tree, text in trees.items()) + "."
     )
