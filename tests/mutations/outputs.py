@@ -22,6 +22,7 @@ MUTATIONS = [
     Mutation("functions: the system's error of a file is raised", "nptrace/values.py", "if (sentence := trouble(e)) is None:", "if True:", "tests/nptrace/test_values.py -k refuses"),
     Mutation("results: Parquet does not name its version", "nptrace_base/records.py", "for name, type_ in held.items()], version)", "for name, type_ in held.items()])", "tests/nptrace/test_results_files.py"),
     Mutation("results: an estimate's table has its nested rows", "nptrace/results.py", "self._records if self._make_flat is None else self._make_flat()", "self._records", "tests/nptrace/test_results_files.py"),
+    Mutation("study: rows that differ in the machine look alike", "nptrace/commands/run.py", 'known = ("line_bytes", "policy", *NUMBERS)', 'known = ("line_bytes", "policy")', "tests/nptrace/test_study.py -k alike"),
     Mutation("functions: pandas gets copies", "nptrace/results.py", "self._table.to_pandas(types_mapper=pandas.ArrowDtype)", "self._table.to_pandas()", "tests/nptrace/test_api.py -k share"),
     Mutation("functions: sweep's default of ways is 2", "nptrace/api.py", 'size: Given = "4K..64K", ways: Given = "1"', 'size: Given = "4K..64K", ways: Given = "2"', "tests/nptrace/test_api.py -k defaults"),
     Mutation("functions: HTML is not escaped", "nptrace/results.py", "<caption>{escape(table.title)}", "<caption>{table.title}", "tests/nptrace/test_api.py -k escaped"),
