@@ -63,11 +63,12 @@ def map_(
     scenes = load_scenes(names, strict, offline)
     with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
 
-        def on_run(name: str) -> Callable[[int], object]:
-            bar.job(name)
-            return bar.phase("time", len(grid.caches))
+        def on_phase(run: str, phase: str, total: int | None) -> Callable[[int], object]:
+            if phase == "build":
+                bar.job(run)
+            return bar.phase(phase, total)
 
-        rows = break_even(scenes, shooting, grid, out, threads=threads, on_run=on_run, parts=parts)
+        rows = break_even(scenes, shooting, grid, out, threads=threads, on_phase=on_phase, parts=parts)
     if picture is not None:
         map_tables.plot(rows, picture)
     if picture is None or output.is_asked_for:
