@@ -3,16 +3,21 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from nptrace.groups import BadInput, Command
+from nptrace.groups import Command
 from nptrace.options import threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
 from nptrace.scene_options import load_scenes, scene_options
 from nptrace.sources import again
+from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
+
+if TYPE_CHECKING:
+    from rtrace.scenes.scene import Scene
 
 
 @click.command("map", cls=Command)
@@ -43,24 +48,38 @@ def map_(
     nptrace map bunny --quick --part 8
     nptrace map bunny conference sibenik sponza -o map.parquet --plot map.png
     """
-    from cachesim.clock.parts import LEAST
     from cachesim.report import map_tables
     from cachesim.report.pictures import check_plot
+
+    began = time.perf_counter()
+    if picture is not None:
+        check_plot(picture)
+    rows = mapped(lambda: load_scenes(names, strict, offline), pixels, out, quick=quick, parts=parts, threads=threads)
+    if picture is not None:
+        map_tables.plot(rows, picture)
+    if picture is None or output.is_asked_for:
+        output.write(rows, lambda: map_tables.tables(rows))
+    what = f"{len(rows)} cells of {len(names)} scene{'s' * (len(names) != 1)}"
+    done(what, began, f"npcache compare {again((), out)}".rstrip())
+
+
+def mapped(
+    load: "Callable[[], list[Scene]]", pixels: str, out: Path, *, quick: bool, parts: int, threads: int
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return the rows of the map of the scenes that ``load`` loads, which it does once the options are checked."""
+    from cachesim.clock.parts import LEAST
     from nptrace.break_even import QUICK, Grid, break_even
     from rtrace.camera import parse_size
     from rtrace.render import Shooting
 
     if not isinstance(place(out), Path):
-        raise BadInput(f"--out {place(out)}: a map keeps rows beside its runs; name a folder of this machine")
-    grid, began = QUICK if quick else Grid(), time.perf_counter()
-    if picture is not None:
-        check_plot(picture)
-    shooting = Shooting(*parse_size(pixels))
+        raise NptraceError(f"--out {place(out)}: a map keeps rows beside its runs; name a folder of this machine")
+    grid, shooting = QUICK if quick else Grid(), Shooting(*parse_size(pixels))
     if parts > 1 and shooting.width * shooting.height < LEAST:
-        raise BadInput(
+        raise NptraceError(
             f"--part takes {LEAST:,} primary rays, and {pixels} pixels have fewer; time all rays, or take more pixels"
         )
-    scenes = load_scenes(names, strict, offline)
+    scenes = load()
     with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
 
         def on_phase(run: str, phase: str, total: int | None) -> Callable[[int], object]:
@@ -68,10 +87,4 @@ def map_(
                 bar.job(run)
             return bar.phase(phase, total)
 
-        rows = break_even(scenes, shooting, grid, out, threads=threads, on_phase=on_phase, parts=parts)
-    if picture is not None:
-        map_tables.plot(rows, picture)
-    if picture is None or output.is_asked_for:
-        output.write(rows, lambda: map_tables.tables(rows))
-    what = f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}"
-    done(what, began, f"npcache compare {again((), out)}".rstrip())
+        return break_even(scenes, shooting, grid, out, threads=threads, on_phase=on_phase, parts=parts)
