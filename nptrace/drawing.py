@@ -61,6 +61,7 @@ class _Canvas:
 
 
 @checked(prefetch=text("stack"), layout=text("veb"))
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def view(
     sources: Where | Iterable[Where], /, *, heat: str | Sequence[str] = (), difference: bool = False,
     enlarge: int | None = None, machine: str = "paper", size: Given = (), ways: Given = (), line: Given = (),
@@ -167,6 +168,7 @@ def plot(
 
 
 @checked(output=PATH, prefetch=text("stack"), layout=text("veb"))
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def report(
     sources: Where | Iterable[Where] = (), /, *, output: Path | str, traces: Path | str = "traces", machine: str = "paper",
     size: Given = (), ways: Given = (), line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: str = "traced",

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import Command
-from nptrace.options import threads_option
+from nptrace.options import gathered, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.scene_options import load_scenes, scene_options
+from nptrace.scene_options import Scenes, scene_options
 from nptrace.sources import again
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 @output_option("--plot", "picture", help="Write a plot as .png, .svg or .pdf.")
 @scene_options
 @results_options()
+@gathered("scenes", Scenes)
 def map_(
-    names: tuple[str, ...], pixels: str, quick: bool, parts: int, out: Path, threads: int, picture: Path | None, strict: bool,
-    offline: bool, output: Output,
+    scenes: Scenes, pixels: str, quick: bool, parts: int, out: Path, threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Map where prefetching pays: leaf size x triangle test x miss latency x rays in flight x cache, for each tree.
 
@@ -54,12 +54,12 @@ def map_(
     began = time.perf_counter()
     if picture is not None:
         check_plot(picture)
-    rows = mapped(lambda: load_scenes(names, strict, offline), pixels, out, quick=quick, parts=parts, threads=threads)
+    rows = mapped(scenes.load, pixels, out, quick=quick, parts=parts, threads=threads)
     if picture is not None:
         map_tables.plot(rows, picture)
     if picture is None or output.is_asked_for:
         output.write(rows, lambda: map_tables.tables(rows))
-    what = f"{len(rows)} cells of {len(names)} scene{'s' * (len(names) != 1)}"
+    what = f"{len(rows)} cells of {len(scenes.names)} scene{'s' * (len(scenes.names) != 1)}"
     done(what, began, f"npcache compare {again((), out)}".rstrip())
 
 
