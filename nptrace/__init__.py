@@ -16,6 +16,7 @@ __version__ = "0.1.0"
 _PLACES = {
     **dict.fromkeys(("compare", "open", "replay", "sweep", "table1", "time"), "nptrace.api"),
     **dict.fromkeys(("estimate", "render"), "nptrace.tracing"),
+    **dict.fromkeys(("Picture", "map", "plot", "report", "view"), "nptrace.drawing"),
     **dict.fromkeys(("combine", "summarise"), "nptrace.summaries"),
     "CacheConfig": "cachesim.config",
     "NptraceError": "nptrace_base.errors",

@@ -5,6 +5,11 @@ from nptrace.api import replay as replay
 from nptrace.api import sweep as sweep
 from nptrace.api import table1 as table1
 from nptrace.api import time as time
+from nptrace.drawing import Picture as Picture
+from nptrace.drawing import map as map
+from nptrace.drawing import plot as plot
+from nptrace.drawing import report as report
+from nptrace.drawing import view as view
 from nptrace.results import Results as Results
 from nptrace.summaries import combine as combine
 from nptrace.summaries import summarise as summarise

@@ -47,6 +47,7 @@ def open(path: Place | str) -> Run:
 
 
 @checked()
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def replay(
     sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", seed: int = 0, prefetch: Given = "traced", layout: Given = "stored", reads: str = "own",
@@ -120,6 +121,7 @@ def replay(
 
 
 @checked()
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def sweep(
     sources: Sources = (), /, *, traces: Place | str = "traces", size: Given = "4K..64K", ways: Given = "1",
     line: Given = "32", prefetch: Given = "traced", layout: Given = "stored", threads: int | None = None,
@@ -157,6 +159,7 @@ def sweep(
 
 
 @checked()
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def time(
     sources: Sources = (), /, *, traces: Place | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "stack", layout: Given = "stored",
@@ -208,6 +211,7 @@ def time(
 
 
 @checked(layout=text("veb"))
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def compare(
     sources: Sources = (), /, *, traces: Place | str = "traces", machine: str = "paper", size: Given = (), ways: Given = (),
     line: Given = (), policy: Given = "lru", seed: int = 0, prefetch: Given = "all", layout: str = "stored",
@@ -253,6 +257,7 @@ def compare(
 
 
 @checked(policy=text("fifo"), layout=text("veb"), hit=whole(1, 1), miss=whole(1, 100))
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def table1(
     sources: Sources = (), /, *, traces: Place | str = "traces", preset: str | None = None, policy: str = "lru",
     layout: str = "stored", n: str = "paper", hit: int = 1, miss: int = 100, workers: "int | Executor" = 0,

@@ -28,6 +28,8 @@ from rtrace.scenes.scene import Scene
 from traces.identity import COLUMNS
 from traces.reader import Run, open_run
 
+OnPhase = Callable[[str, str, int | None], Callable[[int], object]]
+
 #: Columns of the map: which run, which machine, and what came of it.
 COLUMNS_OF_RUN = ("run", "scene", "stand_in", "tree", "leaf", "width", "height", "order")
 FIGURES = (
@@ -78,8 +80,7 @@ QUICK = Grid(leaves=(1, 4), triangles=(8,), misses=(100,), rays=(1, 4), caches=(
 
 
 def break_even(
-    scenes: Sequence[Scene], shooting: Shooting, grid: Grid, folder: Path, *, threads: int,
-    on_run: Callable[[str], Callable[[int], object]], parts: int = 1,
+    scenes: Sequence[Scene], shooting: Shooting, grid: Grid, folder: Path, *, threads: int, on_phase: OnPhase, parts: int = 1,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the rows of the map; runs and finished runs' rows are kept in ``folder``.
 
@@ -87,15 +88,18 @@ def break_even(
     ----------
     parts : int
         Time one of so many parts of the rays: rows have the half-width of the speed-up, and None for what parts do not tell.
-    on_run : callable
-        Called with the name of a run before it is timed; returns a function to call with amounts of ``n_steps``.
+    on_phase : callable
+        Called with the name of a run, a phase (those of a render, and ``time``) and its steps; returns a function to call with
+        amounts of them.
     """
     rows: list[dict[str, Any]] = []
     for scene, leaf in product(scenes, grid.leaves):
         params = {tree: {"min_leaf": leaf, "max_leaf": leaf} for tree in grid.trees}
-        for summary in render_all([scene], params, shooting, folder, threads=threads, tool_version=__version__):
+        for summary in render_all(
+            [scene], params, shooting, folder, threads=threads, tool_version=__version__, on_phase=on_phase
+        ):  # fmt: skip
             run = open_run(str(summary.identity.path))
-            rows += _part(run, leaf, grid, parts, folder, threads, on_run(run.name))
+            rows += _part(run, leaf, grid, parts, folder, threads, on_phase(run.name, "time", len(grid.caches)))
     return rows
 
 

@@ -44,7 +44,7 @@ def replay_plan(
     """Return the caches, prefetch policies and layouts that the options of ``replay`` name."""
     from cachesim.grid import caches, parse_ways_range
 
-    parsed = _sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
+    parsed = sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
     return caches(*parsed, seed), _prefetches(prefetch), _layouts(layout)
 
 
@@ -104,7 +104,8 @@ def _layouts(value: Given) -> list[str]:
     return listed("layout", value, lambda text: str(parse_layout(text)))
 
 
-def _sizes(value: Given) -> list[int]:
+def sizes(value: Given) -> list[int]:
+    """Return the sizes in bytes that an option names."""
     from cachesim.grid import parse_sizes
 
     found = listed("size", value, lambda text: tuple(parse_sizes(text)))
@@ -129,5 +130,5 @@ def machines_plan(
         if name not in NUMBERS:
             raise NptraceError(f"a machine has no number {name}; its numbers are {', '.join(NUMBERS)}")
     given: dict[str, Sequence[int]] = {name: listed(name, value, parse_number) for name, value in numbers.items()}
-    parsed = _sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
+    parsed = sizes(size), listed("ways", ways, parse_ways_range), _lines(line), listed("policy", policy, str.lower)
     return machines_of(machine, given, *parsed, seed)

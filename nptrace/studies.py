@@ -69,6 +69,7 @@ def rendered(
     ))  # fmt: skip
 
 
+# Many parameters: what is counted (to bar) and how (by name), which commands, functions and studies choose one by one.
 def replayed(
     sources: Sequence[Where], configs: "Sequence[CacheConfig]", prefetches: Sequence[str], layouts: Sequence[str],
     bar: Progress, *, reads: str = "own", flush: str = "never", three_c: bool = False, threads: int | None = None,

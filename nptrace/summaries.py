@@ -12,6 +12,7 @@ from traces.reader import Run, open_run
 
 
 @checked(out=PATH)
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def summarise(
     run: Run | Place | str, out: Path | str, /, *, part: str | tuple[int, int], size: Given = "8K", ways: Given = "1",
     line: Given = "32", policy: Given = "lru", prefetch: Given = "traced", layout: Given = "stored",

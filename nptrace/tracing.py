@@ -62,6 +62,7 @@ def render(
 
 
 @checked()
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def render(
     *scenes: "str | Path | Scene", accel: Given = (), pixels: Pixels = "128x128", camera: str | Sequence[str] | None = None,
     light: str | None = None, order: str = "scanline", batch: int = 1, seed: int = 0, packet: int = 1, shadow: str = "lit",
@@ -161,6 +162,7 @@ def render(
 
 
 @checked()
+# Many parameters: one per option of the command, as callers write them and help() lists them.
 def estimate(
     *scenes: "str | Path | Scene", accel: Given = (), size: Given = "8K", ways: Given = "1", line: Given = "32",
     policy: Given = "lru", layout: Given = "stored", is_table1: bool = False, target_error: str = "2%,0.05pp",

@@ -147,6 +147,12 @@ def _source(value: Any) -> Any:
     return value if isinstance(value, Run) else _place(value)
 
 
+def _results(value: Any) -> Any:
+    from nptrace.results import Results
+
+    return value if isinstance(value, Results) and len(value) else _source(value)
+
+
 def _text_or_whole(value: Any) -> str | int:
     return _text(value) if isinstance(value, str) else _whole(value)
 
@@ -191,14 +197,15 @@ def texts(example: Any) -> Kind:
     return Kind("a text or a list of texts", example, _list_of(_text))
 
 
-def whole(least: int, example: int) -> Kind:
+def whole(least: int, example: int, most: int | None = None) -> Kind:
     """Return the kind of a single whole number."""
-    return Kind(f"a whole number from {least}", example, _from(least))
+    return Kind(f"a whole number from {least}" + (f" to {most}" if most else ""), example, _from(least, most))
 
 
 FLAG = Kind("True or False", True, _flag)
 PATH, PLACE = Kind("a path", "file", _path), Kind("a path", "traces", _place)
 
+RESULTS = Kind("results, a run, a path or a list of one or more", "sweep.parquet", _one_or_more(_list_of(_results)))
 SCENE_NAME = Kind("the name of a scene or a mesh file", "sponza", lambda value: str(_path(value)))
 
 #: The kinds of options by name; where a function means something else, it says so.
@@ -207,7 +214,8 @@ KINDS: dict[str, Kind] = {
     "sources": Kind("a run, a path or a list of one or more", "traces/sponza-bvh", _one_or_more(_list_of(_source))),
     "summaries": Kind("a path or a list of them", ["1.sum", "2.sum"], _list_of(_path)),
     "run": Kind("a run or its path", "traces/sponza-bvh", _source), "path": PLACE, "out": PLACE, "traces": PLACE,
-    "rays": _or_nothing(PATH), "resume": _or_nothing(PATH),
+    "rays": _or_nothing(PATH), "resume": _or_nothing(PATH), "output": _or_nothing(PATH), "kind": _or_nothing(text("curves")),
+    "heat": texts(["accesses", "misses"]), "enlarge": _or_nothing(whole(1, 4, 64)),
     "accel": texts(["kdtree", "bvh"]), "name": texts(["a", "b"]),
     "camera": _or_nothing(texts("eye=1,2,3 at=0,0,0")), "light": _or_nothing(text("0,9,0")),
     "pixels": Kind("a text WxH or two whole numbers", "64x64", pixels_text),
@@ -221,7 +229,7 @@ KINDS: dict[str, Kind] = {
     "threads": _or_nothing(whole(1, 4)), "workers": Kind("a whole number from 0, or an executor", 2, _workers),
     "bvh_nodes": several([32, 64]), "size": several(["8K", 16384]), "ways": several([1, 2, "full"]),
     "line": several([32, 64]), "policy": texts(["lru", "fifo"]), "prefetch": texts(["none", "traced"]),
-    "layout": texts(["stored", "veb"]),
+    "layout": texts(["stored", "veb"]), "difference": FLAG, "quick": FLAG,
     **dict.fromkeys(("overwrite", "strict", "offline", "three_c", "is_table1", "baselines"), FLAG),
 }  # fmt: skip
 #: The numbers of a machine.

@@ -84,6 +84,7 @@ class Finished:
         return json.dumps({"files": files, "counts": asdict(self.counts)}, sort_keys=True).encode()
 
 
+# Many parameters: those of render.render, in whose place it is called, and two of its own.
 def render_parts(
     scene: Scene,
     tree: Tree,

@@ -257,6 +257,7 @@ def summary(footer: Footer, path: Place, counts: Counts, n_nodes: int, n_bytes: 
     )  # fmt: skip
 
 
+# Many parameters: those of one render, and how the runs of several are named and made.
 def render_all(
     scenes: Sequence[Scene],
     params: Mapping[str, Mapping[str, Any]],

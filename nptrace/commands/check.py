@@ -9,10 +9,10 @@ import click
 
 from nptrace.groups import BadInput, Command
 from nptrace.ignored import refuse
-from nptrace.options import seed_option, threads_option
+from nptrace.options import gathered, seed_option, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
-from nptrace.scene_options import load_scenes, scene_options
+from nptrace.scene_options import Scenes, scene_options
 from nptrace_base.shell import word
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 @threads_option()
 @scene_options
 @results_options()
+@gathered("scenes", Scenes)
 def check(
-    names: tuple[str, ...], hard: bool, is_long: bool, pixels: str, n_random: int, seed: int, threads: int, strict: bool,
-    offline: bool, output: Output,
+    scenes: Scenes, hard: bool, is_long: bool, pixels: str, n_random: int, seed: int, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Compare both trees with Embree on camera, shadow and random rays; exit with status 1 if a limit is exceeded.
 
@@ -43,10 +43,10 @@ def check(
     from nptrace_base.pools import thread_pool
     from rtrace.camera import parse_size
 
-    if not names and not hard:
+    if not scenes.names and not hard:
         raise BadInput("name a scene to compare with Embree, or give --hard")
-    if names and hard:
-        raise BadInput(f"--hard brings its own scenes, and its rows are not those of {names[0]}; run one at a time")
+    if scenes.names and hard:
+        raise BadInput(f"--hard brings its own scenes, and its rows are not those of {scenes.names[0]}; run one at a time")
     if hard:
         refuse("--hard brings its own scenes and rays", "pixels", "n_random", "seed", "strict", "offline")
     else:
@@ -64,13 +64,13 @@ def check(
             for row in run_all(is_long, threads):
                 bar.phase(f"{row.case}, {row.structure}")
                 rows.append({**row._asdict(), "is_good": row.is_good})
-    if names:
+    if scenes.names:
         from rtrace.checks.embree import compare
         from rtrace.trees.tree_cache import TREES, cached_tree
 
-        scenes = load_scenes(names, strict, offline)
-        with Progress(len(scenes)) as bar:
-            for scene in scenes:
+        loaded = scenes.load()
+        with Progress(len(loaded)) as bar:
+            for scene in loaded:
                 bar.job(scene.label)
                 bar.phase("build")
                 with thread_pool(threads) as pool:
@@ -81,7 +81,7 @@ def check(
                 rows += [{**of, **row._asdict(), "is_good": row.is_good} for row in compared]
     n_bad = sum(not row["is_good"] for row in rows)
     output.write(rows, lambda: (tables_of(rows), [f"{len(rows)} comparisons, {n_bad} beyond their limit."]))
-    following = f"nptrace render {' '.join(map(word, names))}" if names else "nptrace check sponza"
+    following = f"nptrace render {' '.join(map(word, scenes.names))}" if scenes.names else "nptrace check sponza"
     done(f"{len(rows)} comparisons, {sum(row['n_rays'] for row in rows):,} rays", began, following)
     if n_bad:
         raise SystemExit(1)

@@ -30,6 +30,7 @@ from nptrace_base.places import Place
 @workers_options
 @output_option("--plot", "picture", binary="a picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options()
+# Many parameters: one per option, as click passes them.
 def compare(
     sources: tuple[Place, ...], folder: Place, machines: Machines, prefetch: list[str], layout: str, baselines: bool,
     workers: int, scheduler: str | None, threads: int, picture: Path | None, output: Output,

@@ -3,16 +3,21 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nptrace.following import again
-from nptrace.groups import BadInput, Command
-from nptrace.options import threads_option
+from nptrace.groups import Command
+from nptrace.options import gathered, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.scene_options import load_scenes, scene_options
+from nptrace.scene_options import Scenes, scene_options
+from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
+
+if TYPE_CHECKING:
+    from rtrace.scenes.scene import Scene
 
 
 @click.command("map", cls=Command)
@@ -31,9 +36,9 @@ from nptrace_base.places import place
 @output_option("--plot", "picture", binary="a picture", help="Write a plot as .png, .svg or .pdf.")
 @scene_options
 @results_options()
+@gathered("scenes", Scenes)
 def map_(
-    names: tuple[str, ...], pixels: str, quick: bool, parts: int, out: Path, threads: int, picture: Path | None, strict: bool,
-    offline: bool, output: Output,
+    scenes: Scenes, pixels: str, quick: bool, parts: int, out: Path, threads: int, picture: Path | None, output: Output,
 ) -> None:  # fmt: skip
     """Map where prefetching pays: leaf size x triangle test x miss latency x rays in flight x cache, for each tree.
 
@@ -43,34 +48,43 @@ def map_(
     nptrace map bunny --quick --part 8
     nptrace map bunny conference sibenik sponza -o map.parquet --plot map.png
     """
-    from cachesim.clock.parts import LEAST
     from cachesim.report import map_tables
     from cachesim.report.pictures import check_plot
+
+    began = time.perf_counter()
+    if picture is not None:
+        check_plot(picture)
+    rows = mapped(scenes.load, pixels, out, quick=quick, parts=parts, threads=threads)
+    if picture is not None:
+        map_tables.plot(rows, picture)
+    if picture is None or output.is_asked_for:
+        output.write(rows, lambda: map_tables.tables(rows))
+    what = f"{len(rows)} cells of {len(scenes.names)} scene{'s' * (len(scenes.names) != 1)}"
+    done(what, began, " ".join(filter(None, ["npcache compare", again((), out, ())])))
+
+
+def mapped(
+    load: "Callable[[], list[Scene]]", pixels: str, out: Path, *, quick: bool, parts: int, threads: int
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Return the rows of the map of the scenes that ``load`` loads, which it does once the options are checked."""
+    from cachesim.clock.parts import LEAST
     from nptrace.break_even import QUICK, Grid, break_even
     from rtrace.camera import parse_size
     from rtrace.render import Shooting
 
     if not isinstance(place(out), Path):
-        raise BadInput(f"--out {place(out)}: a map keeps rows beside its runs; name a folder of this machine")
-    grid, began = QUICK if quick else Grid(), time.perf_counter()
-    if picture is not None:
-        check_plot(picture)
-    shooting = Shooting(*parse_size(pixels))
+        raise NptraceError(f"--out {place(out)}: a map keeps rows beside its runs; name a folder of this machine")
+    grid, shooting = QUICK if quick else Grid(), Shooting(*parse_size(pixels))
     if parts > 1 and shooting.width * shooting.height < LEAST:
-        raise BadInput(
+        raise NptraceError(
             f"--part takes {LEAST:,} primary rays, and {pixels} pixels have fewer; time all rays, or take more pixels"
         )
-    scenes = load_scenes(names, strict, offline)
+    scenes = load()
     with Progress(len(scenes) * len(grid.leaves) * len(grid.trees)) as bar:
 
-        def on_run(name: str) -> Callable[[int], object]:
-            bar.job(name)
-            return bar.phase("time", len(grid.caches))
+        def on_phase(run: str, phase: str, total: int | None) -> Callable[[int], object]:
+            if phase == "build":
+                bar.job(run)
+            return bar.phase(phase, total)
 
-        rows = break_even(scenes, shooting, grid, out, threads=threads, on_run=on_run, parts=parts)
-    if picture is not None:
-        map_tables.plot(rows, picture)
-    if picture is None or output.is_asked_for:
-        output.write(rows, lambda: map_tables.tables(rows))
-    what = f"{len(rows)} cells of {len(scenes)} scene{'s' * (len(scenes) != 1)}"
-    done(what, began, " ".join(filter(None, ["npcache compare", again((), out, ())])))
+        return break_even(scenes, shooting, grid, out, threads=threads, on_phase=on_phase, parts=parts)

@@ -1,7 +1,7 @@
 """npcache plot: results, or runs, as a picture."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,7 @@ import click
 
 from cachesim.config import parse_bytes
 from nptrace.groups import BadInput, Command
-from nptrace.ignored import refuse
-from nptrace.options import SIZE_HELP, WAYS_HELP, Choice, ListOf, joined, merged, threads_option
+from nptrace.options import SIZE_HELP, WAYS_HELP, Choice, ListOf, joined, listing, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, untimed_policies
@@ -88,25 +87,37 @@ def plot(
     if path is None:
         raise BadInput("name the picture with -o, for instance -o plot.png")
     check_plot(path)
+    asked: dict[str, list] = {"--size": size, "--ways": ways, "--line": line, "--prefetch": prefetch, "--layout": layout}
+    kind, n = drawn(sources, kind, asked, path, threads)
+    done(f"{path}: {KINDS[kind]}, of {n} row{'s' * (n != 1)}", began)
+
+
+def drawn(
+    sources: Sequence[Place], kind: str | None, asked: Mapping[str, list], path: Path, threads: int | None
+) -> tuple[str, int]:  # fmt: skip
+    """Draw runs, through what is asked for by the names of options, or files of results; return the kind and its rows."""
+    from cachesim.report.result_files import read_rows
+
     of_runs = [each for each in sources if isinstance(each, Remote) or each.is_dir() or each.suffix.lower() == ".din"]
+    given = [name for name, value in asked.items() if value]
     if of_runs and len(of_runs) < len(sources):
         others = next(source for source in sources if source not in of_runs)
-        raise BadInput(f"{of_runs[0]} is a run and {others} holds results; draw runs or results, not both at once")
+        raise NptraceError(f"{of_runs[0]} is a run and {others} holds results; draw runs or results, not both at once")
     if not of_runs:
-        refuse("results have their caches and policies", "size", "ways", "line", "prefetch", "layout", way=", or name runs")
-        kind, n = _draw_results([Path(str(source)) for source in sources], kind, path)
-    else:
-        kind = kind or "distances"
-        if kind not in OF_RUNS:
-            raise BadInput(f"--kind {kind} needs results, of npcache {_WRITTEN_BY[kind]} -o FILE; name that file")
-        if kind == "distances":
-            refuse("--kind distances shows caches of every size", "size", "ways", way=", or name another kind")
-        sizes, numbers = _USUAL[kind]
-        size = size or [each for text in sizes.split(",") for each in _sizes(text)]
-        ways = ways or [(each,) for each in numbers.split(",")]
-        cases = Cases(size, ways, line or [32], prefetch or ["traced"], layout or ["stored"])
-        n = _draw_runs(chosen_sources(of_runs, Path()), kind, cases, path, threads)
-    done(f"{path}: {KINDS[kind]}, of {n} row{'s' * (n != 1)}", began)
+        if given:
+            raise NptraceError(f"results have their caches and policies; leave out {listing(given)}, or name runs")
+        return draw_results({each: read_rows(Path(str(each))) for each in sources}, kind, path)
+    kind = kind or "distances"
+    if kind not in OF_RUNS:
+        raise NptraceError(f"--kind {kind} needs results, of npcache {_WRITTEN_BY[kind]} -o FILE; name that file")
+    caches = [name for name in given if name in ("--size", "--ways")]
+    if kind == "distances" and caches:
+        raise NptraceError(f"--kind distances shows caches of every size; leave out {listing(caches)}, or name another kind")
+    usual = _USUAL[kind]
+    size = asked["--size"] or [each for text in usual[0].split(",") for each in _sizes(text)]
+    ways, line = asked["--ways"] or [(each,) for each in usual[1].split(",")], asked["--line"] or [32]
+    cases = Cases(size, ways, line, asked["--prefetch"] or ["traced"], asked["--layout"] or ["stored"])
+    return kind, _draw_runs(chosen_sources(of_runs, Path()), kind, cases, path, threads)
 
 
 _WRITTEN_BY = {"speed-ups": "time or compare", "table1": "table1"}
@@ -124,23 +135,20 @@ class Cases:
         self.configs = caches(sizes, ways, lines)
 
 
-def _draw_results(paths: Sequence[Path], kind: str | None, path: Path) -> tuple[str, int]:
+def draw_results(files: Mapping[Any, Sequence[Mapping[str, Any]]], kind: str | None, path: Path) -> tuple[str, int]:
     """Draw the rows of files; return what was drawn, and the number of rows."""
-    from cachesim.report.result_files import read_rows
-
-    files = {each: read_rows(each) for each in paths}
     rows = [row for found in files.values() for row in found]
     kinds = {each: kind_of(found[0]) for each, found in files.items()}
     possible = set(kinds.values())
     if len(possible) > 1:
         texts = ", ".join(f"{each} {found}" for each, found in kinds.items())
-        raise BadInput(f"the files hold different results ({texts}); draw each kind by itself")
+        raise NptraceError(f"the files hold different results ({texts}); draw each kind by itself")
     kind = kind or possible.pop()
     drawings = _drawings()
     missing = [name for name in _NEEDS[kind] if name not in rows[0]]
     if kind == "distances" or missing:
         lacks = f"the results have no column {missing[0]}" if missing else "results have no stack distances"
-        raise BadInput(f"--kind {kind}: {lacks}; name {'runs' if kind in OF_RUNS else 'other results'}, or another kind")
+        raise NptraceError(f"--kind {kind}: {lacks}; name {'runs' if kind in OF_RUNS else 'other results'}, or another kind")
     drawings[kind](rows, path)
     return kind, len(rows)
 
@@ -152,7 +160,7 @@ _NEEDS = {
 }  # fmt: skip
 
 
-def kind_of(row: dict[str, Any]) -> str:
+def kind_of(row: Mapping[str, Any]) -> str:
     """Return what a row of results is drawn as, where nobody asks for another kind."""
     if "paper_ratio_paper" in row:
         return "table1"
@@ -180,7 +188,7 @@ def _drawings() -> dict[str, Callable[[Sequence[Any], Path], None]]:
     }  # fmt: skip
 
 
-def _draw_runs(paths: Sequence[Place], kind: str, cases: Cases, path: Path, threads: int) -> int:
+def _draw_runs(paths: Sequence[Place], kind: str, cases: Cases, path: Path, threads: int | None) -> int:
     """Count what a kind of picture shows of runs, and draw it; return the number of rows."""
     from cachesim.source import open_source
 
@@ -200,7 +208,7 @@ def _draw_runs(paths: Sequence[Place], kind: str, cases: Cases, path: Path, thre
 
 
 def _rows_of(
-    kind: str, source: Any, prefetch: str, cases: Cases, threads: int, progress: Callable[[int], None]
+    kind: str, source: Any, prefetch: str, cases: Cases, threads: int | None, progress: Callable[[int], None]
 ) -> Iterator[Any]:  # fmt: skip
     """Yield the rows of one source under one policy."""
     from cachesim.by_group import replay_by

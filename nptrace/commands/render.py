@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 @gathered("scenes", Scenes)
 @gathered("trees", Trees)
 @gathered("picture", Picture)
+# Many parameters: one per option, as click passes them.
 def render(
     scenes: Scenes, trees: Trees, picture: Picture, ray_file: Path | None, out: Place, run_names: tuple[str, ...],
     overwrite: bool, workers: int, scheduler: str | None, threads: int, output: Output,

@@ -58,6 +58,7 @@ BY = ("pixel", "level", "node", "ray-type")
 @workers_options
 @results_options("dinero")
 @gathered("caches", Caches)
+# Many parameters: one per option, as click passes them.
 def replay(
     sources: tuple[Place, ...], folder: Place, caches: Caches, prefetch: list[str], layout: list[str], reads: str, flush: str,
     three_c: bool, by: str | None, workers: int, scheduler: str | None, threads: int, output: Output,

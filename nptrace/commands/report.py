@@ -52,38 +52,44 @@ def report(
     npcache report -o report.html
     npcache report traces/bunny-kdtree traces/bunny-bvh --size 8K,16K --assoc 1,2 -o bunny.html
     """
-    from cachesim.report.page import check_page, page
+    from cachesim.report.page import check_page
     from traces.reader import open_run
 
     began = time.perf_counter()
     if path is None:
         raise BadInput("name the page with -o, for instance -o report.html")
     check_page(path)
-    if len(machines.clocks) > 1:
-        raise BadInput(f"a report takes one machine, and the options ask for {len(machines.clocks)}; leave the others out")
-    _check(machines, prefetch, layout)
+    check(machines, prefetch, layout)
     runs = [open_run(each) for each in chosen_sources(sources, folder)]
-    case = Case(runs, machines.configs, machines.clocks[0], prefetch, layout, threads)
-    with Progress(5 * len(runs) + 1) as bar:
+    n_bytes = write_page(Case(runs, machines.configs, machines.clocks[0], prefetch, layout, threads), path)
+    done(f"{path}: {len(runs)} run{'s' * (len(runs) != 1)}, {size_text(n_bytes)}", began)
+
+
+def write_page(case: "Case", path: Path) -> int:
+    """Write the page, and return its bytes."""
+    from cachesim.report.page import page
+
+    with Progress(5 * len(case.runs) + 1) as bar:
         made = gathered(case, bar)
         bar.job(str(path))
         bar.phase("write")
         text = page(made)
         write_out(text, path)
-    n = len(runs)
-    done(f"{path}: {n} run{'s' * (n != 1)}, {size_text(len(text.encode(errors='replace')))}", began)
+    return len(text.encode(errors="replace"))
 
 
-def _check(machines: Machines, prefetch: str, layout: str) -> None:
+def check(machines: Machines, prefetch: str, layout: str) -> None:
     """Refuse before the work what one of its parts cannot do."""
-    from cachesim.clock.timing import check
+    from cachesim.clock.timing import check as check_clocks
     from cachesim.prefetch import parse_prefetch
     from cachesim.stack_distance import check_one_pass
     from nptrace.studies import parsed
 
+    if len(machines.clocks) > 1:
+        raise NptraceError(f"a report takes one machine, and the options ask for {len(machines.clocks)}; leave the others out")
     parsed([layout])
     check_one_pass(parse_prefetch(prefetch))
-    check(machines.configs[:1], machines.clocks, machines.clocks[0].rays)
+    check_clocks(machines.configs[:1], machines.clocks, machines.clocks[0].rays)
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ class Case:
     clock: "Clock"
     prefetch: str
     layout: str
-    threads: int
+    threads: int | None
 
     @property
     def single(self) -> "list[Run]":

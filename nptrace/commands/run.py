@@ -61,13 +61,20 @@ def run(study: Path, threads: int, output: Output) -> None:
 
 
 def table_of(rows: list[dict[str, Any]]) -> "Table":
-    """Return a table with a line for each row: what it is of, and the rates that it has."""
+    """Return a table with a line for each row: what it is of, all in which rows differ, and the rates that it has."""
+    from cachesim.clock.parameters import NUMBERS
     from nptrace_base.tables import Table, number, percent
 
-    header = ["run", "section", "prefetch", "layout", "bytes", "ways", "demand\nmiss rate %", "traffic\nratio", "speed-up"]
+    known = ("line_bytes", "policy", *NUMBERS)
+    others = [name for name in known if len({row.get(name) for row in rows} - {None}) > 1]
+    header = [
+        "run", "section", "prefetch", "layout", "bytes", "ways", *(name.replace("_", "\n") for name in others),
+        "demand\nmiss rate %", "traffic\nratio", "speed-up",
+    ]  # fmt: skip
     lines = [
         [
             row["run"], row["section"], row["prefetch"], row["layout"], number(row["size_bytes"]), number(row["ways"]),
+            *("-" if row.get(name) is None else str(row[name]) for name in others),
             percent(row.get("demand_miss_rate")), number(row.get("traffic_ratio"), 3), number(row.get("speed_up"), 3),
         ]
         for row in rows

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 @workers_options
 @output_option("--plot", "picture", binary="a picture", help="Write a plot as .png, .svg or .pdf.")
 @results_options(default="csv")
+# Many parameters: one per option, as click passes them.
 def sweep(
     sources: tuple[Place, ...], folder: Place, size: list[str], ways: list[tuple[str, ...]], line: list[int],
     prefetch: list[str], layout: list[str], workers: int, scheduler: str | None, threads: int, picture: Path | None,

@@ -72,6 +72,7 @@ class Acpr:
 @workers_options
 @results_options()
 @gathered("equation", Acpr)
+# Many parameters: one per option, as click passes them.
 def table1(
     sources: tuple[Place, ...], folder: Place, preset: str | None, error: str | None, pixels: str, seed: int, policy: str,
     layout: str, equation: Acpr, workers: int, scheduler: str | None, threads: int, output: Output,

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from cachesim.clock.parameters import NUMBERS
 from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.groups import BadInput, Command
 from nptrace.ignored import refuse
-from nptrace.options import ListOf, given, merged, threads_option
+from nptrace.options import ListOf, gathered, given, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PlaceOf, one_prefetch_option, policies
@@ -37,6 +38,53 @@ def parse_kind(text: str) -> str:
     return kind
 
 
+@dataclass(frozen=True)
+class View:
+    """What is shown of runs, by the names of the options; without kinds their pictures."""
+
+    kinds: Sequence[str]
+    difference: bool
+    enlarge: int | None
+    machines: Machines
+    prefetch: str
+    layout: str
+    threads: int | None
+
+    def check_machines(self) -> None:
+        """Raise NptraceError if there are several caches or machines."""
+        if len(self.machines.configs) * len(self.machines.clocks) > 1:
+            raise NptraceError(
+                f"view takes one cache and one machine, and the options ask for {len(self.machines.configs)} and "
+                f"{len(self.machines.clocks)}; leave the others out"
+            )
+
+    def check(self, runs: "Sequence[Run]") -> None:
+        """Raise NptraceError if the runs cannot be shown so."""
+        if self.difference:
+            _check_difference(runs, self.kinds)
+
+    def draw(self, runs: "Sequence[Run]", path: Path) -> tuple[int, int]:
+        """Write the picture, and return its size in dots."""
+        from cachesim.heat import HeatMaps, Setting
+        from cachesim.prefetch import parse_prefetch
+        from cachesim.report import heat_figure
+        from cachesim.report.pictures import check_plot, ending_of
+        from cachesim.source import RunSource
+
+        if len(runs) == 1 and self.kinds in ([], ["picture"]):
+            ending_of(path, [".png"])
+            return _enlarge(runs[0], path, self.enlarge)
+        check_plot(path)
+        setting = Setting(self.machines.configs[0], self.machines.clocks[0], parse_prefetch(self.prefetch))
+        maps = [HeatMaps(RunSource(run, self.layout), setting, threads=self.threads) for run in runs]
+        with Progress(len(runs)) as bar:
+            sheet = _sheet(runs, maps, self.kinds or ["picture"], setting, bar, is_difference=self.difference)
+            bar.phase("draw")
+            panels = [panel for column in sheet.columns for panel in column]
+            n = self.enlarge or heat_figure.enlargement([panel.values.shape for panel in panels], len(panels))
+            return heat_figure.draw(sheet, path, n)
+
+
 @click.command(
     cls=Command, lists={"Prefetch policies": policies, "Machines and where their numbers come from": machine_sources}
 )
@@ -58,10 +106,8 @@ def parse_kind(text: str) -> str:
     binary="a picture",
     help="The picture: .png; heat maps also .svg and .pdf; - is stdout; by default RUN.png or RUN-KIND.png.",
 )
-def view(
-    sources: tuple[Place, ...], kinds: list[str], difference: bool, enlarge: int | None, machines: Machines, prefetch: str,
-    layout: str, threads: int, path: Path | None,
-) -> None:  # fmt: skip
+@gathered("shown", View)
+def view(sources: tuple[Place, ...], shown: View, path: Path | None) -> None:
     """Show the pictures of runs, enlarged, or what their pixels cost, as heat maps.
 
     All runs have one scale for each kind, so that colours can be compared. Without -o the picture is RUN.png or RUN-KIND.png
@@ -73,7 +119,6 @@ def view(
     nptrace view traces/bunny-bvh --heat picture,misses,saved --size 8K --assoc 2 -o bunny.png
     nptrace view traces/bunny-kdtree traces/bunny-bvh --heat misses --difference
     """
-    from cachesim.report.pictures import check_plot, ending_of
     from nptrace.sources import chosen_sources
     from traces.reader import find_runs, open_run
 
@@ -82,23 +127,12 @@ def view(
         found = find_runs("traces")
         way = f"for instance nptrace view {found[0]}" if found else "which nptrace render SCENE makes"
         raise BadInput(f"nptrace view shows the runs that it is given, and none is named; name one, {way}")
-    if len(machines.configs) * len(machines.clocks) > 1:
-        raise BadInput(
-            f"view takes one cache and one machine, and the options ask for {len(machines.configs)} and "
-            f"{len(machines.clocks)}; leave the others out"
-        )
-    _check_used(kinds, prefetch)
+    shown.check_machines()
+    _check_used(shown.kinds, shown.prefetch)
     runs = [open_run(each) for each in chosen_sources(sources, Path())]
-    if difference:
-        _check_difference(runs, kinds)
-    path = path or _usual_path(runs, kinds)
-    is_plain = len(runs) == 1 and kinds in ([], ["picture"])
-    if is_plain:
-        ending_of(path, [".png"])
-        size = _enlarge(runs[0], path, enlarge)
-    else:
-        check_plot(path)
-        size = _draw(runs, kinds or ["picture"], machines, prefetch, layout, path, difference, enlarge, threads)
+    shown.check(runs)
+    path = path or _usual_path(runs, shown.kinds)
+    size = shown.draw(runs, path)
     done(f"{path}: {size[0]} x {size[1]} pixels", began)
 
 
@@ -132,11 +166,11 @@ def _usual_path(runs: "Sequence[Run]", kinds: Sequence[str]) -> Path:
 
 def _check_difference(runs: "Sequence[Run]", kinds: Sequence[str]) -> None:
     if len(runs) < 2 or not set(kinds) - {"picture"}:
-        raise BadInput("--difference compares numbers of two runs or more; name them, and a kind with --heat")
+        raise NptraceError("--difference compares numbers of two runs or more; name them, and a kind with --heat")
     first, *others = ((run.footer.width, run.footer.height) for run in runs)
     for run, size in zip(runs[1:], others, strict=True):
         if size != first:
-            raise BadInput(
+            raise NptraceError(
                 f"--difference takes pictures of one size, and {runs[0].path} has {first[0]}x{first[1]} pixels, {run.path} "
                 f"{size[0]}x{size[1]}; render one of them again with --pixels"
             )
@@ -155,26 +189,6 @@ def _enlarge(run: "Run", path: Path, enlarge: int | None) -> tuple[int, int]:
     with whole_file(path) as temporary:
         large.save(temporary, format="PNG", optimize=True)
     return large.size
-
-
-def _draw(
-    runs: "Sequence[Run]", kinds: Sequence[str], machines: Machines, prefetch: str, layout: str, path: Path,
-    difference: bool, enlarge: int | None, threads: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Count what the kinds show, and draw it."""
-    from cachesim.heat import HeatMaps, Setting
-    from cachesim.prefetch import parse_prefetch
-    from cachesim.report import heat_figure
-    from cachesim.source import RunSource
-
-    setting = Setting(machines.configs[0], machines.clocks[0], parse_prefetch(prefetch))
-    maps = [HeatMaps(RunSource(run, layout), setting, threads=threads) for run in runs]
-    with Progress(len(runs)) as bar:
-        sheet = _sheet(runs, maps, kinds, setting, bar, is_difference=difference)
-        bar.phase("draw")
-        panels = [panel for column in sheet.columns for panel in column]
-        n = enlarge or heat_figure.enlargement([panel.values.shape for panel in panels], len(panels))
-        return heat_figure.draw(sheet, path, n)
 
 
 def _sheet(
@@ -226,4 +240,4 @@ def picture_of(run: "Run") -> Any:
         with Image.open(io.BytesIO(run.image())) as picture:
             return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError) as e:  # Pillow's errors of what is no PNG
-        raise BadInput(f"{run.path / 'image.png'} is no picture ({e}); render the run again") from e
+        raise NptraceError(f"{run.path / 'image.png'} is no picture ({e}); render the run again") from e

@@ -20,8 +20,10 @@ from cachesim.clock.parameters import NUMBERS
 from tests.nptrace.test_terminal import inputs
 
 ROOT = Path(cli.__file__).resolve().parent
-OF_STAGE_2 = ("replay", "sweep", "summarise", "combine", "time", "compare", "estimate", "table1")
-FUNCTIONS = {"render": cli.nptrace, **dict.fromkeys(OF_STAGE_2, cli.npcache)}
+OF_STAGE_2 = ("replay", "sweep", "summarise", "combine", "time", "compare", "estimate", "table1", "plot", "report")
+FUNCTIONS = {**dict.fromkeys(("render", "view", "map"), cli.nptrace), **dict.fromkeys(OF_STAGE_2, cli.npcache)}
+#: Commands that have no function: what they do needs none, or is a method of a run.
+NO_FUNCTIONS = {"check", "scenes", "export", "info", "compile", "run"}
 #: Options of output, and of an estimated Table I, which is a command of its own.
 NOT_OF_FUNCTIONS = {
     "form", "as_json", "output_path", "is_wide", "version", "quiet", "verbose", "help", "picture", "timeline", "error"
@@ -35,6 +37,10 @@ CALLED = {
     "run_names": "name",
     "ray_file": "rays",
     "folder": "traces",
+    "kinds": "heat",
+    "path": "output",
+    "assoc": "ways",
+    "parts": "part",
 }
 
 
@@ -62,6 +68,12 @@ def options_of_error(command):
     return next(param for param in command.params if param.name == "error")
 
 
+def test_every_command_has_its_function():
+    commands = {name for group in (cli.nptrace, cli.npcache) for name in group.commands}
+    assert commands == {*FUNCTIONS, *NO_FUNCTIONS}
+    assert {*FUNCTIONS} == {name for name in nt.__all__ if inspect.isfunction(getattr(nt, name))} - {"open"}
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_a_function_has_the_options_and_defaults_of_its_command(name):
     command = FUNCTIONS[name].commands[name]
@@ -71,7 +83,7 @@ def test_a_function_has_the_options_and_defaults_of_its_command(name):
     if name == "table1":
         options = {key: value for key, value in options.items() if key not in ("pixels", "seed")}
     parameters = inspect.signature(getattr(nt, name)).parameters
-    assert set(options) == (set(parameters) - {"numbers"}) | (set(NUMBERS) if name in ("time", "compare") else set())
+    assert set(options) == (set(parameters) - {"numbers"}) | (set(NUMBERS) if "numbers" in parameters else set())
     for option, param in options.items():
         is_given = option in parameters and parameters[option].default is not inspect.Parameter.empty
         if is_given and option not in ("scenes", "sources", "threads"):

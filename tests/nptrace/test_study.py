@@ -254,3 +254,13 @@ def test_the_example_runs(tmp_path, monkeypatch):
     run(cli.nptrace, "run", "study.toml")
     rows = pq.read_table("study.parquet").to_pylist()
     assert {row["section"] for row in rows} == {"replay", "sweep", "time"} and len({row["run"] for row in rows}) == 4
+
+
+def test_no_two_rows_of_the_table_look_alike(folder):
+    text = STUDY.replace('["16x16", "24x16"]', '"16x16"').replace('["scanline", "morton"]', '"tile"')
+    text = text.replace('prefetch = ["none", "traced"]', 'ways = 4\npolicy = ["lru", "fifo"]\nline = [32, 64]')
+    (folder / "study.toml").write_text(text)
+    printed = run(cli.nptrace, "run", "study.toml", "--format", "markdown").stdout
+    rows = [[cell.strip() for cell in line.split("|")] for line in printed.splitlines() if line.startswith("| ball-")]
+    n_keys = [cell.strip() for cell in printed.splitlines()[0].split("|")].index("demand miss rate %")
+    assert len(rows) == 2 * (2 * 2 * 2 * 2 + 2) == len({tuple(row[:n_keys]) for row in rows})

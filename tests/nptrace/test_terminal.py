@@ -20,7 +20,11 @@ import pytest
 from click.testing import CliRunner
 
 import cli
-from nptrace_base import tables
+from nptrace import precompile
+from nptrace_base import jit, tables
+from rtrace.checks import hard_cases
+from rtrace.checks.hard_cases import Row
+from rtrace.scenes import catalog
 from rtrace.scenes.shapes import icosphere
 from tests.nptrace.test_nptrace import write_obj
 from tests.reference.traces import make_trace, write
@@ -40,29 +44,49 @@ COMMANDS = [
     "npcache compare traces/bunny-bvh --size 1K --assoc 1 --prefetch stack,push",
     "npcache table1",
     "npcache estimate ball.obj --pixels 64x64 --size 1K,2K --line 64",
+    "nptrace check --hard",
+    "nptrace info traces/bunny-bvh",
+    "nptrace scenes",
+    "nptrace compile",
+    "nptrace map ball.obj --quick --pixels 8x8 --out map --threads 1",
+    "nptrace run small.toml --format table",
+    "npcache summarise traces/bunny-bvh --part 1/2 --size 1K -o 1.sum",
+    "npcache summarise traces/bunny-bvh --part 2/2 --size 1K -o 2.sum",
+    "npcache combine 1.sum 2.sum",
+]
+#: What the commands read that takes long, or depends on the machine.
+STUDY = '[render]\nscenes = "ball.obj"\npixels = "8x8"\n[replay]\nsize = "1K,2K"\n[time]\nsize = "1K"\nrays = [1, 4]\n'
+HARD = [
+    Row("primary: ball, 1e4 radii away", "kd-tree, 3 levels", 1600, 0, 0, 0, 1.5, 16.0, 0, 12),
+    Row("shadows: light 1e30 away, slanted", "BVH, 64-byte nodes", 296130, 0, 0, 0, 0.0, 0.0, 0, 101),
 ]
 WIDTHS = (80, 100, 120)
 ROOT = Path(cli.__file__).resolve().parent
 
 
 def inputs(folder):
-    """Make the mesh and the runs, which hold the same numbers everywhere."""
+    """Make the mesh, a study and the runs, which hold the same numbers everywhere."""
+    (folder / "small.toml").write_text(STUDY)
     write_obj(folder / "ball.obj", icosphere(2))
     for i, (place, kind) in enumerate((("traces", "bvh"), ("traces", "kdtree"), ("other", "kdtree"))):
         write(make_trace(kind, i, n_rays=200, max_level=9), folder / place / f"bunny-{kind}", stand_in=kind == "bvh")
 
 
 def shown(command, width):
-    """Return what a command prints on a terminal of so many columns, without the rows with seconds."""
+    """Return what a command prints on a terminal of so many columns, without the rows with seconds and bytes of files."""
     program, *args = shlex.split(command)
-    real, tables.width_of = tables.width_of, lambda file: width
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables, "width_of", lambda file: width)
+        patch.setattr(catalog, "cache_folder", lambda: Path("nowhere"))
+        patch.setattr(precompile, "compile_all", lambda watch: 3)
+        patch.setattr(hard_cases, "run_all", lambda is_long, threads: HARD)
+        if args[0] == "compile":
+            patch.setattr(jit, "cache_folder", lambda: Path("kernels"))
+        patch.delenv("NPTRACE_SCENES", raising=False)
         result = CliRunner().invoke(getattr(cli, program), args, catch_exceptions=False)
-    finally:
-        tables.width_of = real
     assert result.exit_code == 0, result.output
     lines = (line.rstrip() for line in result.stdout.strip("\n").splitlines())
-    return "\n".join(line for line in lines if not re.match(r" ball-\w+-64x64 ", line))
+    return "\n".join(line for line in lines if not re.match(r" ball-\w+-64x64 | kernels +3 | n_bytes ", line))
 
 
 def everything():
@@ -77,6 +101,16 @@ def test_every_command_prints_what_is_stored(tmp_path, monkeypatch):
     for width, command, text in zip(stored[::3], stored[1::3], stored[2::3], strict=True):
         assert max(map(len, text.splitlines())) <= int(width), command
         assert shown(command, int(width)) + "\n" == text, command
+
+
+def test_every_command_that_prints_results_is_there():
+    stored = {" ".join(command.split()[:2]) for command in COMMANDS}
+    for program in ("nptrace", "npcache"):
+        commands = getattr(cli, program).commands
+        for name in commands:
+            command = commands[name]
+            if any(param.name == "is_wide" for param in command.params):
+                assert f"{program} {name}" in stored
 
 
 def on_terminal(width, *command, cwd):

@@ -37,6 +37,7 @@ WRONG = {
     **dict.fromkeys(("workers",), (-1, True, "2", None, [1])),
     **dict.fromkeys(("overwrite", "strict", "offline", "three_c", "is_table1", "baselines"), (0, 1, "yes", None, [True])),
     **dict.fromkeys(("pixels",), (16, (16,), (1, 2, 3), (1.5, 2), ("16", "16"), (True, 1), "16", None, "0x0", (-1, 5))),
+    "map part": (0, 17, True, "2", None),
     **dict.fromkeys(("part",), (1, (1,), (1, 2, 3), ("1", "2"), "3", None)),
     **dict.fromkeys(("size", "ways", "line", "bvh_nodes", "hit", "miss", "rays", "n"), (True, [True], "x", 0, -1)),
     **dict.fromkeys(
@@ -49,9 +50,18 @@ WRONG = {
     **dict.fromkeys(("scenes", "run", "out", "traces", "path", "resume"), (3, True, "a\0b", ["a"])),
     **dict.fromkeys(("sources", "summaries"), (3, None, "a\0b", [], [3])),
     **dict.fromkeys(("scheduler",), (3, True, ["x"])),
+    **dict.fromkeys(("output",), (3, True, "a\0b", ["a.png"], "a.txt")),
+    **dict.fromkeys(("kind", "heat"), (3, True, "x", ["x"])),
+    **dict.fromkeys(("enlarge",), (0, 65, True, "2", [1])),
+    **dict.fromkeys(("difference", "quick"), (0, 1, "yes", None, [True])),
 }
 #: Arguments without which a function cannot be called.
-NEEDED = {"render": ["ball.obj"], "estimate": ["ball.obj"], "summarise": ["traces/bunny-bvh", "1.sum"]}
+NEEDED = {
+    **{name: ["ball.obj"] for name in ("render", "estimate", "map")},
+    **{name: ["traces/bunny-bvh"] for name in ("view", "plot")},
+    "summarise": ["traces/bunny-bvh", "1.sum"],
+}
+OPTIONS = {"summarise": {"part": (1, 2)}, "report": {"output": "report.html"}}
 
 
 @pytest.fixture(scope="module")
@@ -80,16 +90,14 @@ def call(function, name, place, value):
         options = {}
     else:
         options = {name: value}
-    if function == "summarise":
-        options.setdefault("part", (1, 2))
-    return getattr(nt, function)(*args, **options)
+    return getattr(nt, function)(*args, **OPTIONS.get(function, {}) | options)
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_every_wrong_value_is_one_sentence(folder, function):
     before = sorted(folder.rglob("*"))
     for name, place in calls(function):
-        for value in (*NEVER, *WRONG.get(name, ())):
+        for value in (*NEVER, *WRONG.get(f"{function} {name}", WRONG.get(name, ()))):
             with pytest.raises(nt.NptraceError) as caught:
                 call(function, name, place, value)
             said = str(caught.value)
