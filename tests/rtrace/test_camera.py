@@ -88,6 +88,8 @@ def test_a_camera_fitted_to_the_largest_scene_stands_in_float32():
         [(2, 3, 4), (2, 3, 4)],
         [(0, 0, 0), (0, 0, 0)],
         [(-1e30, -1e30, -1e30), (1e30, 1e30, 1e30)],
+        [(0, 0, 3e38), (4e37, 4e37, 3.4e38)],  # at the end of float32: from behind
+        [(3e38, 3e38, 0), (3.4e38, 3.4e38, 4e37)],  # from the left and below
     ],
 )
 def test_a_fitted_camera_sees_the_whole_box(bounds):
