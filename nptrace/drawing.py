@@ -148,17 +148,22 @@ def plot(
     if kind not in (None, *KINDS):
         raise NptraceError(f"kind: {kind!r} is not one of {', '.join(KINDS)}")
     asked: dict[str, list] = {
-        "--size": sizes(size), "--ways": listed("ways", ways, parse_ways_range), "--line": listed("line", line, parse_bytes),
-        "--prefetch": listed("prefetch", prefetch, str), "--layout": listed("layout", layout, str),
+        "size": sizes(size), "ways": listed("ways", ways, parse_ways_range), "line": listed("line", line, parse_bytes),
+        "prefetch": listed("prefetch", prefetch, str), "layout": listed("layout", layout, str),
     }  # fmt: skip
+
+    def refuse(reason: str, *names: str, way: str) -> None:
+        if others := [name for name in names if asked[name]]:
+            raise NptraceError(f"{reason}; leave out {listing(others)}{way}")
+
     given = _several(sources)
     with _Canvas(output) as canvas:
         check_plot(canvas.path)
         if not any(isinstance(each, Results) for each in given):
-            drawn([each.path if isinstance(each, Run) else place(each) for each in given], kind, asked, canvas.path, threads)
+            places = [each.path if isinstance(each, Run) else place(each) for each in given]
+            drawn(places, kind, asked, canvas.path, threads, refuse)
             return canvas.picture()
-        if named := [name for name, value in asked.items() if value]:
-            raise NptraceError(f"results have their caches and policies; leave out {listing(named)}, or name runs")
+        refuse("results have their caches and policies", *asked, way=", or name runs")
         if len(given) == 1 and "leaf" in given[0][0]:
             from cachesim.report import map_tables
 

@@ -9,7 +9,8 @@ import click
 
 from cachesim.config import parse_bytes
 from nptrace.groups import BadInput, Command
-from nptrace.options import SIZE_HELP, WAYS_HELP, Choice, ListOf, joined, listing, merged, threads_option
+from nptrace.ignored import refuse
+from nptrace.options import SIZE_HELP, WAYS_HELP, Choice, ListOf, joined, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, untimed_policies
@@ -87,36 +88,37 @@ def plot(
     if path is None:
         raise BadInput("name the picture with -o, for instance -o plot.png")
     check_plot(path)
-    asked: dict[str, list] = {"--size": size, "--ways": ways, "--line": line, "--prefetch": prefetch, "--layout": layout}
-    kind, n = drawn(sources, kind, asked, path, threads)
+    asked: dict[str, list] = {"size": size, "ways": ways, "line": line, "prefetch": prefetch, "layout": layout}
+    kind, n = drawn(sources, kind, asked, path, threads, refuse)
     done(f"{path}: {KINDS[kind]}, of {n} row{'s' * (n != 1)}", began)
 
 
 def drawn(
-    sources: Sequence[Place], kind: str | None, asked: Mapping[str, list], path: Path, threads: int | None
+    sources: Sequence[Place], kind: str | None, asked: Mapping[str, list], path: Path, threads: int | None,
+    refuse: Callable[..., object],
 ) -> tuple[str, int]:  # fmt: skip
-    """Draw runs, through what is asked for by the names of options, or files of results; return the kind and its rows."""
+    """Draw runs, through the caches, policies and layouts asked for, or files of results; return the kind and its rows.
+
+    ``refuse(reason, *names, way=...)`` raises an NptraceError if some of what is asked for has these names.
+    """
     from cachesim.report.result_files import read_rows
 
     of_runs = [each for each in sources if isinstance(each, Remote) or each.is_dir() or each.suffix.lower() == ".din"]
-    given = [name for name, value in asked.items() if value]
     if of_runs and len(of_runs) < len(sources):
         others = next(source for source in sources if source not in of_runs)
         raise NptraceError(f"{of_runs[0]} is a run and {others} holds results; draw runs or results, not both at once")
     if not of_runs:
-        if given:
-            raise NptraceError(f"results have their caches and policies; leave out {listing(given)}, or name runs")
+        refuse("results have their caches and policies", *asked, way=", or name runs")
         return draw_results({each: read_rows(Path(str(each))) for each in sources}, kind, path)
     kind = kind or "distances"
     if kind not in OF_RUNS:
         raise NptraceError(f"--kind {kind} needs results, of npcache {_WRITTEN_BY[kind]} -o FILE; name that file")
-    caches = [name for name in given if name in ("--size", "--ways")]
-    if kind == "distances" and caches:
-        raise NptraceError(f"--kind distances shows caches of every size; leave out {listing(caches)}, or name another kind")
-    usual = _USUAL[kind]
-    size = asked["--size"] or [each for text in usual[0].split(",") for each in _sizes(text)]
-    ways, line = asked["--ways"] or [(each,) for each in usual[1].split(",")], asked["--line"] or [32]
-    cases = Cases(size, ways, line, asked["--prefetch"] or ["traced"], asked["--layout"] or ["stored"])
+    if kind == "distances":
+        refuse("--kind distances shows caches of every size", "size", "ways", way=", or name another kind")
+    sizes, numbers = _USUAL[kind]
+    size = asked["size"] or [each for text in sizes.split(",") for each in _sizes(text)]
+    ways = asked["ways"] or [(each,) for each in numbers.split(",")]
+    cases = Cases(size, ways, asked["line"] or [32], asked["prefetch"] or ["traced"], asked["layout"] or ["stored"])
     return kind, _draw_runs(chosen_sources(of_runs, Path()), kind, cases, path, threads)
 
 

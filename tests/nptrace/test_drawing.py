@@ -66,7 +66,7 @@ def test_results_are_drawn_as_their_file_is(folder):
         nt.plot([nt.sweep(BVH, size="1K..4K", ways=[1, 2]), nt.sweep(KD, size="1K..4K", ways=[1, 2])], output="t.svg")
     )
     for call, sentence in (
-        (lambda: nt.plot(results, size="8K"), "--size is for runs"),
+        (lambda: nt.plot(results, size="8K"), "leave out size, or name runs"),
         (lambda: nt.plot(results, kind="x"), "kind: 'x' is not one of"),
         (lambda: nt.plot([results, nt.time(BVH, size="1K")]), "hold different results"),
         (lambda: nt.plot(results, output="a.txt"), "must end in"), (lambda: nt.view(BVH, output="a.svg"), "must end in .png"),
