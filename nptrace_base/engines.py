@@ -6,11 +6,13 @@ What a worker finished before it was killed counts; the rest is done again.
 
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 from nptrace_base.errors import NptraceError
@@ -25,6 +27,10 @@ _T = TypeVar("_T")
 
 class WorkersLostError(NptraceError):
     """Workers were killed and cannot be replaced; the message states what is known."""
+
+
+class WorkerEndedError(Exception):
+    """Something ended a task from within, as ``sys.exit`` does: to the engine, its worker is lost."""
 
 
 class Engine:
@@ -47,7 +53,7 @@ class Engine:
         n_workers: int = 0,
     ) -> None:  # fmt: skip
         self._start, self._what, self._can_restart, self.n_workers = start, what, can_restart, n_workers
-        self._lost: tuple[type[BaseException], ...] = (BrokenExecutor, *lost)
+        self._lost: tuple[type[BaseException], ...] = (BrokenExecutor, WorkerEndedError, *lost)
 
     def results(self, function: Callable[..., _T], tasks: Sequence[tuple]) -> Iterator[tuple[int, _T]]:
         """Yield the number of each task and what ``function`` returns for its arguments, in the order in which they end.
@@ -70,7 +76,7 @@ class Engine:
                 try:
                     with _interrupts_held():  # processes start here
                         for number in chosen:
-                            futures[executor.submit(function, *left[number])] = number
+                            futures[executor.submit(partial(guarded, function), *left[number])] = number
                 except self._lost as e:
                     reason = e
                 for future in as_completed(futures):
@@ -95,9 +101,32 @@ class Engine:
             if reason is not None and (in_vain == _ROUNDS or not self._can_restart):
                 guard = "" if len(left) < len(tasks) else " (a script that asks for workers needs if __name__ == '__main__':)"
                 raise WorkersLostError(
-                    f"{self._what} was lost ({type(reason).__name__}) with {len(left)} of {len(tasks)} tasks left; give "
+                    f"{self._what} was lost ({_name_of(reason)}) with {len(left)} of {len(tasks)} tasks left; give "
                     f"workers more memory or take fewer, and start the same command again, which goes on from there{guard}"
                 ) from reason
+
+
+def _name_of(reason: BaseException) -> str:
+    return str(reason) if isinstance(reason, WorkerEndedError) else type(reason).__name__
+
+
+def guarded(function: Callable[..., _T], *arguments: Any) -> _T:
+    """Return what a function returns, in a worker; its exception becomes one that arrives.
+
+    ``SystemExit`` and ``KeyboardInterrupt`` would end the program that asked, without a word. An exception that can be pickled
+    and not made again breaks a pool of processes, which then looks as if its workers had been killed.
+    """
+    try:
+        return function(*arguments)
+    except (SystemExit, KeyboardInterrupt) as e:
+        raise WorkerEndedError(type(e).__name__) from e
+    except Exception as e:
+        try:
+            pickle.loads(pickle.dumps(e))
+        except Exception:
+            kind = next((each for each in (NptraceError, MemoryError) if isinstance(e, each)), None)
+            raise (RuntimeError(f"{type(e).__name__}: {e}") if kind is None else kind(str(e))) from e
+        raise
 
 
 @contextmanager

@@ -25,6 +25,9 @@ SCHEMAS = {"accesses": ACCESSES, "rays": RAYS, "nodes": NODES}
 FIELDS = {name: {field.name: field for field in schema} for name, schema in SCHEMAS.items()}
 FIELDS["nodes"] |= {field.name: field for field in (*SPLIT, *BOX)}
 
+#: Rows of a batch where the first ray from a row on is looked for.
+_FEW = 1 << 14
+
 #: The exceptions that a damaged Parquet file raises.
 UNREADABLE = (OSError, ValueError, LookupError, TypeError, OverflowError, pa.ArrowException)
 
@@ -140,6 +143,7 @@ class Run:
         part = self._files.reopen()
         if (part.footer, part.digest) != (self.footer, self.digest):
             raise RunError(f"{self.path} has changed while it was read; start again")
+        part._axis = self._axis  # of the same nodes
         first, end = (part._ray_at(i * self.footer.n_accesses // n) for i in (number - 1, number))
         part.rows = range(first, end)
         return part
@@ -153,7 +157,7 @@ class Run:
             if row >= first + n:
                 continue
             rows = range(row - first, n)
-            for read in _batches(part.open("accesses"), ["kind", "node"], part.files["accesses"], rows):
+            for read in _batches(part.open("accesses"), ["kind", "node"], part.files["accesses"], rows, _FEW):
                 begins = (as_array(read.column("node")) == 0) & (as_array(read.column("kind")) != PREFETCH)
                 if begins.any():
                     return row + int(begins.argmax())
@@ -247,8 +251,10 @@ def _moved(numbers: np.ndarray, first: int) -> np.ndarray:
     return moved
 
 
-def _batches(file: pq.ParquetFile, names: list[str], path: Place, rows: range) -> Iterator[pa.RecordBatch]:
-    """Yield some rows of a file, of one row group after the other, ``ROW_GROUP`` rows or fewer at a time."""
+def _batches(
+    file: pq.ParquetFile, names: list[str], path: Place, rows: range, at_a_time: int = ROW_GROUP
+) -> Iterator[pa.RecordBatch]:  # fmt: skip
+    """Yield some rows of a file, of one row group after the other, ``at_a_time`` or fewer; what follows is not decoded."""
     start = n_read = n_passed = 0
     try:
         for group in range(file.num_row_groups):
@@ -256,12 +262,19 @@ def _batches(file: pq.ParquetFile, names: list[str], path: Place, rows: range) -
             if start + n_here <= rows.start or start >= rows.stop:
                 start, n_passed = start + n_here, n_passed + n_here
                 continue
-            for batch in file.iter_batches(ROW_GROUP, row_groups=[group], columns=names, use_threads=False):
+            of_group, n_wanted = start, min(n_here, rows.stop - start)
+            for batch in file.iter_batches(
+                min(at_a_time, n_wanted), row_groups=[group], columns=names, use_threads=False
+            ):  # fmt: skip
                 n_read += batch.num_rows
                 first, end = max(rows.start - start, 0), min(rows.stop - start, batch.num_rows)
                 if first < end:
                     yield batch.slice(first, end - first)
                 start += batch.num_rows
+                if start >= of_group + n_wanted:
+                    n_passed += of_group + n_here - start
+                    start = of_group + n_here
+                    break
         if n_read + n_passed != file.metadata.num_rows:  # Parquet readers stop silently at a misplaced page
             raise OSError(f"{n_read + n_passed} of {file.metadata.num_rows} rows can be read")
     except UNREADABLE as e:

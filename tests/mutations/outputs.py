@@ -87,6 +87,8 @@ MUTATIONS = [
              'compiling.not_kept("kernels", {Path(self._cache_path).parent: e})', "raise", f"{KEPT}::test_a_full_folder_stops_nothing"),
     Mutation("kept: signatures share a file", "nptrace_base/jit.py", "repr((self._stamp, key))", "repr(self._stamp)", f"{KEPT} -k signatures"),
     Mutation("kept: what is in a kernel's file is not looked at", "nptrace_base/jit.py", "data if found == key else None", "data", f"{KEPT} -k signatures"),
+    Mutation("workers: an exception that cannot be made again breaks the pool", "nptrace_base/engines.py", "            pickle.loads(pickle.dumps(e))\n", "            pass\n", "tests/nptrace_base/test_worker_errors.py"),
+    Mutation("workers: sys.exit in a worker ends the program", "nptrace_base/engines.py", "    except (SystemExit, KeyboardInterrupt) as e:\n        raise WorkerEndedError(type(e).__name__) from e\n", "    except WorkerEndedError:\n        raise\n", "tests/nptrace_base/test_worker_errors.py"),
     Mutation("parts: losses add up", "nptrace_base/engines.py", "in_vain = in_vain + 1 if len(left) == n_before else 0", "in_vain += reason is not None", "tests/nptrace_base/test_engines.py"),
     Mutation("reads: the unit's line outlives a flush", "cachesim/reads.py", "if node == 0 and is_emptied:", "if False:", "tests/cachesim/test_reads_and_flush.py -k flush"),
     Mutation("start: all that Numba can compile is imported", "nptrace_base/jit.py",

@@ -1,0 +1,64 @@
+"""A long run on several threads: several parts for each, of one table of nodes that is checked once, joined in order."""
+
+import threading
+
+import pytest
+
+from cachesim import parts
+from cachesim.config import CacheConfig
+from cachesim.replay import replay
+from rtrace.render import Shooting, render
+from rtrace.scenes.stand_ins import stand_in
+from rtrace.trees.tree_cache import build_tree
+from traces import run as runs
+from traces.format import ROW_GROUP
+from traces.reader import open_run
+
+CACHES = [CacheConfig(8192, 2), CacheConfig(1024, 1)]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    scene = stand_in("blob", detail=0.3)
+    where = tmp_path_factory.mktemp("long") / "run"
+    render(scene, build_tree(scene.triangles, "bvh"), Shooting(96, 96), where)
+    return where
+
+
+@pytest.mark.parametrize(("part", "per_node", "each"), [(1 << 12, 0, 4), (1 << 16, 0, None), (1, 1 << 20, 1)])
+def test_threads_take_part_after_part(path, monkeypatch, part, per_node, each):
+    monkeypatch.setattr(parts, "PART", part)
+    monkeypatch.setattr(parts, "PER_NODE", per_node)
+    run = open_run(path)
+    expected = [result.to_dict() for result in replay(run, CACHES, threads=1)]
+    each = run.n_accesses // (2 * part) if each is None else each
+    assert run.n_accesses > ROW_GROUP and each < 5
+    made, checked, check = [], [], runs.check_nodes
+    monkeypatch.setattr(parts, "LEAST_PART", 1 << 12)
+    monkeypatch.setattr(runs, "check_nodes", lambda *args: checked.append(threading.get_ident()) or check(*args))
+    whole = parts.pass_through
+    monkeypatch.setattr(parts, "pass_through", lambda *args: made.append(args[0].run.rows) or whole(*args))
+    assert [result.to_dict() for result in replay(open_run(path), CACHES, threads=2)] == expected
+    assert len(made) == 2 * each and sum(map(len, made)) == run.n_accesses
+    assert len(checked) == 1
+
+
+@pytest.mark.parametrize("end", [0, 1, ROW_GROUP - 1, ROW_GROUP, ROW_GROUP + 1, ROW_GROUP + 1000])
+def test_what_follows_the_rows_of_a_part_is_not_decoded(path, monkeypatch, end):
+    run = open_run(path)
+    nodes = run.columns("accesses")["node"]
+    file = run._parts[0].open("accesses")
+    decoded = []
+
+    class Counting:
+        metadata, num_row_groups = file.metadata, file.num_row_groups
+
+        def iter_batches(self, *args, **kwargs):
+            for batch in file.iter_batches(*args, **kwargs):
+                decoded.append(batch.num_rows)
+                yield batch
+
+    start = max(end - 500, 0)
+    found = [batch.column("node").to_pylist() for batch in runs._batches(Counting(), ["node"], path, range(start, end))]
+    assert [node for batch in found for node in batch] == nodes[start:end].tolist()
+    assert sum(decoded) == (end - start // ROW_GROUP * ROW_GROUP if end else 0)
