@@ -116,7 +116,7 @@ MUTATIONS = [
     # What a new user meets
     Mutation("info: a bad run ends the list", "nptrace/commands/info.py", "            records.append(record_of(open_run(path)))\n        except NptraceError as e:\n            faults.append(e)\n", "            records.append(record_of(open_run(path)))\n        except NptraceError as e:\n            faults.append(e)\n            break\n", "tests/nptrace/test_bad_run.py -k info"),
     Mutation("info: a bad run is no failure", "nptrace/commands/info.py", "raise SystemExit(1 if records else 2)", "raise SystemExit(0 if records else 2)", "tests/nptrace/test_bad_run.py -k info"),
-    Mutation("bad run: the way is that of a run whose name begins alike", "nptrace/groups.py", r"(?![\w-]|\.\w)", "", "tests/nptrace/test_bad_run.py -k begins_like"),
+    Mutation("bad run: the way is that of a run whose name begins alike", "nptrace/groups.py", r"(?![\w-]|\.\w)", "", "tests/nptrace/test_bad_run.py -k sentence_names"),
     Mutation("made again: the folder of the mesh is lost", "rtrace/scenes/catalog.py", "._replace(source=str(path))", "", "tests/nptrace/test_made_again.py -k pasted"),
     Mutation("made again: a name with a dash is an option", "nptrace_base/shell.py", 'text = f"./{text}"', "pass", "tests/nptrace/test_made_again.py"),
     Mutation("made again: the name of the run is lost", "nptrace/commands/info.py", "if name.endswith(ending) else", "if False else", "tests/nptrace/test_made_again.py -k pasted"),

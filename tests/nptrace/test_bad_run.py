@@ -36,6 +36,8 @@ def test_info_shows_the_good_runs_and_names_the_bad_one(folder):
     assert run("nptrace info -q", code=1).stderr
     result = run("nptrace info traces/bunny-kdtree nosuch", code=2)
     assert result.stdout == "" and len(result.stderr.splitlines()) == 2
+    (folder / "traces" / "bunny-kdtree").rename(folder / "traces" / "a")  # the first of them
+    assert [row["run"] for row in json.loads(run("nptrace info --json", code=1).stdout)] == ["bunny-bvh"]
 
 
 @pytest.mark.parametrize("command", RUN_COMMANDS)
