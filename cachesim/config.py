@@ -17,7 +17,7 @@ MOST_BYTES = 1 << 62
 
 def parse_bytes(text: str) -> int:
     """Return a byte size as papers write it: 512, 8K, 64KiB, 1M (powers of two)."""
-    match = re.fullmatch(r"\s*(\d+)\s*(?:([KkMmGgTt])(?:i?B)?|B)?\s*", text)
+    match = re.fullmatch(r"\s*(\d{1,40})\s*(?:([KkMmGgTt])(?:i?B)?|B)?\s*", text)
     if match is None:
         raise NptraceError(f"{text!r} is not a size; write e.g. 512, 8K or 64KiB (K = 1024)")
     number, unit = match.groups(default="")

@@ -1,5 +1,6 @@
 """Options that choose a machine and its caches, for the commands that count cycles."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -25,7 +26,7 @@ class Machines:
 
 def parse_number(text: str) -> int:
     """Return a whole number."""
-    if not text.strip().isdecimal() or not text.isascii():
+    if not re.fullmatch("[0-9]{1,40}", text.strip()):
         raise NptraceError(f"{text!r} is not a whole number; write e.g. 100, or a list such as 20,100,300")
     return int(text)
 

@@ -101,7 +101,7 @@ def no_options(options: Sequence[str]) -> dict[str, Any]:
 def whole(text: str, name: str, low: int, high: int) -> int:
     """Return the whole number of an option such as ``distance=2`` or ``2``."""
     digits = text.removeprefix(f"{name}=")
-    if not digits.isascii() or not digits.isdigit() or not low <= int(digits) <= high:
+    if not digits.isascii() or not digits.isdigit() or len(digits) > 18 or not low <= int(digits) <= high:
         raise NptraceError(f"{name} is a whole number from {low} to {high}, not {digits!r}")
     return int(digits)
 
