@@ -7,7 +7,6 @@ the summaries are joined in order. A part of a run begins with a ray, because a 
 import inspect
 import os
 import re
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import cache, lru_cache, reduce
@@ -29,11 +28,9 @@ from nptrace_base.sources import digest_of
 #: Accesses in the smallest part that a thread gets: less takes longer to open and to join than it saves.
 LEAST_PART = 1 << 20
 
-#: Most parts for each process or thread, so that the last does not wait for one that is slow; accesses of a part for another
-#: executor, and the least for more than one part a thread.
+#: Parts for each process, so that the last does not wait for one that is slow; accesses of a part for another executor. A thread
+#: has one: more cost more work than their balance saves.
 PARTS_PER_WORKER, PART = 4, 1 << 22
-#: Accesses of such a part for each node at least: joining two takes time for each line.
-PER_NODE = 8
 
 Progress = Callable[[int], None] | None
 
@@ -54,28 +51,11 @@ def count(
     n = min(threads, (source.n_events or 0) // LEAST_PART)
     if n < 2 or type(source) is not RunSource or reason_against(question.configs, question.policy):
         return pass_through(source, question, threads, progress)
-    n_parts = n * _parts_per_thread(source, n)
     source.run.columns("nodes", ["axis"])  # read and checked here, for all parts
-    lines: dict[tuple[int, int], NodeLines] = {}
     advance = _one_at_a_time(progress)
-
-    def count_one(number: int) -> Any:
-        return pass_through(Part(source, number, n_parts, lines), question, 1, advance)
-
     with thread_pool(n) as pool:
-        running = deque(pool.submit(count_one, number) for number in range(1, n_parts + 1))
-        whole = running.popleft().result()
-        while running:  # joined while the next ones are counted, and then forgotten
-            whole = whole.then(running.popleft().result())
-        return whole
-
-
-def _parts_per_thread(source: RunSource, n: int) -> int:
-    """Return how many parts of a run each of n threads gets. One of an object store is opened for each."""
-    if not isinstance(source.run.path, Path):
-        return 1
-    least = max(PART, PER_NODE * source.run.n_nodes)
-    return max(min(source.run.n_accesses // (n * least), PARTS_PER_WORKER), 1)
+        running = [pool.submit(pass_through, part, question, 1, advance) for part in cut(source, n)]
+        return reduce(lambda one, other: one.then(other), [each.result() for each in running])
 
 
 def pass_through(source: Source, question: Question, threads: int = 1, progress: Progress = None) -> Any:

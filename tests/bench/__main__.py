@@ -25,6 +25,7 @@ from rtrace.shading import shadow_rays
 from rtrace.traverse import trace
 from rtrace.trees.tree_cache import cached_tree
 from tests.bench.goals import ABSENT, GOALS, is_met
+from tests.bench.parts import bench_long
 from tests.bench.savings import bench_savings
 from tests.bench.several_rays import bench_several
 from tests.bench.stage1 import bench_scene, build_peer, pieces
@@ -118,6 +119,8 @@ def main() -> None:
                 add(found, bench_run(open_run(path), repeat))
                 render(scene, tree, Shooting(min(size, 128), min(size, 128)), folder / "small")
                 add(found, bench_comparison(open_run(folder / "small")))
+                render(scene, tree, Shooting(2 * size, 2 * size), folder / "long")
+                add(found, bench_long(open_run(folder / "long"), repeat))
                 add(tried, bench_tried(open_run(path), repeat))
     if not quick:
         add(found, bench_start())

@@ -62,10 +62,15 @@ def bench_parts(run: Run, lines: np.ndarray, labels: np.ndarray, repeat: int) ->
     summary = LruCounts(CacheConfig(65536, 4))
     summary.step(*streams["demand"])
     out["bytes of a summary of a line, counts alone"] = packed(summary) / 2048
-    if run.n_accesses >= 2 * LEAST_PART and hasattr(os, "sched_setaffinity"):
-        walls = times({"one": lambda: on_one_core(run), "two": lambda: plain(run, 2)}, repeat, time.perf_counter)
-        out["one long run, one core / two"] = ratio(walls["one"], walls["two"])
     return out
+
+
+def bench_long(run: Run, repeat: int) -> dict[str, float]:
+    """Return what a second core is worth for the replay of one long run."""
+    if run.n_accesses < 2 * LEAST_PART or not hasattr(os, "sched_setaffinity"):
+        return {}
+    walls = times({"one": lambda: on_one_core(run), "two": lambda: plain(run, 2)}, repeat, time.perf_counter)
+    return {"one long run, one core / two": ratio(walls["one"], walls["two"])}
 
 
 def plain(run: Run, threads: int) -> None:

@@ -159,7 +159,6 @@ MUTATIONS = [
     Mutation("fold: the order of last accesses is that of the first", RE, 'whole._use(arrays["order"])', 'whole._use(arrays["first_ids"])', f"{FOLD} -k stack"),
     Mutation("parts: cut anywhere", "traces/run.py", "                if begins.any():\n                    return row + int(begins.argmax())\n", "                return row\n", f"{PARTS} -k share"),
     Mutation("parts: every part checks the nodes", PA, "    source.run.columns(\"nodes\", [\"axis\"])  # read and checked here, for all parts\n", "", "tests/nptrace/test_long_runs.py"),
-    Mutation("parts: one for each thread", PA, "    return max(min(source.run.n_accesses // (n * least), PARTS_PER_WORKER), 1)\n", "    return 1\n", "tests/nptrace/test_long_runs.py"),
     Mutation("parts: all of the last row group is decoded", "traces/run.py", "                min(at_a_time, n_wanted), row_groups", "                at_a_time, row_groups", "tests/nptrace/test_long_runs.py -k decoded"),
     Mutation("parts: a pool that broke is the end", "nptrace_base/engines.py", "if reason is not None and (in_vain == _ROUNDS or not self._can_restart):", "if reason is not None:", f"{PARTS} -k killed"),
     Mutation("files: a gap is nothing", SF, "if part.rows.start > row:", "if False:", f"{PARTS} -k gaps"),

@@ -1,4 +1,4 @@
-"""A long run on several threads: several parts for each, of one table of nodes that is checked once, joined in order."""
+"""A long run on several threads: a part for each, of one table of nodes that is checked once, joined in order."""
 
 import threading
 
@@ -25,21 +25,17 @@ def path(tmp_path_factory):
     return where
 
 
-@pytest.mark.parametrize(("part", "per_node", "each"), [(1 << 12, 0, 4), (1 << 16, 0, None), (1, 1 << 20, 1)])
-def test_threads_take_part_after_part(path, monkeypatch, part, per_node, each):
-    monkeypatch.setattr(parts, "PART", part)
-    monkeypatch.setattr(parts, "PER_NODE", per_node)
+def test_every_thread_has_a_part(path, monkeypatch):
     run = open_run(path)
     expected = [result.to_dict() for result in replay(run, CACHES, threads=1)]
-    each = run.n_accesses // (2 * part) if each is None else each
-    assert run.n_accesses > ROW_GROUP and each < 5
+    assert run.n_accesses > ROW_GROUP
     made, checked, check = [], [], runs.check_nodes
     monkeypatch.setattr(parts, "LEAST_PART", 1 << 12)
     monkeypatch.setattr(runs, "check_nodes", lambda *args: checked.append(threading.get_ident()) or check(*args))
     whole = parts.pass_through
     monkeypatch.setattr(parts, "pass_through", lambda *args: made.append(args[0].run.rows) or whole(*args))
     assert [result.to_dict() for result in replay(open_run(path), CACHES, threads=2)] == expected
-    assert len(made) == 2 * each and sum(map(len, made)) == run.n_accesses
+    assert len(made) == 2 and sum(map(len, made)) == run.n_accesses
     assert len(checked) == 1
 
 
