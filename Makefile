@@ -102,7 +102,7 @@ site: $(INSTALLED) ## Build the documentation as a site, build/site/index.html; 
 
 correctness: $(INSTALLED) ## Run all checks, the hard cases (long form) and all mutations, about two hours, and write docs/correctness.md
 	@test -f "$(NPTRACE_SCENES)/bunny.ply" || { echo "set NPTRACE_SCENES to the folder with the real scenes"; exit 2; }
-	$(BIN)/python -m tests.checks -o docs/data/checks.json
+	$(BIN)/python -m tests.checks -n $(THREADS) -o docs/data/checks.json
 	$(BIN)/nptrace check --hard --long --json > docs/data/hard_cases.json
 	$(BIN)/python -m tests.mutations -o docs/data/mutations.csv
 	$(BIN)/cog -r docs/correctness.md

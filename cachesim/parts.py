@@ -28,8 +28,8 @@ from nptrace_base.sources import digest_of
 #: Accesses in the smallest part that a thread gets: less takes longer to open and to join than it saves.
 LEAST_PART = 1 << 20
 
-#: Parts for each process, so that the last does not wait for one that is slow; accesses of a part for another executor. A thread
-#: has one: more cost more work than their balance saves.
+#: Parts for each process, so that the last does not wait for one that is slow; accesses of a part for another executor. A
+#: thread has one: more cost more work than their balance saves.
 PARTS_PER_WORKER, PART = 4, 1 << 22
 
 Progress = Callable[[int], None] | None

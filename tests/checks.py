@@ -1,4 +1,4 @@
-"""Run all tests and write the counts of each: ``python -m tests.checks [-o FILE.json] [pytest's arguments]``, for the docs.
+"""Run all tests and write the counts of each: ``python -m tests.checks [-o FILE.json] [-n JOBS] [pytest's arguments]``.
 
 Also the pytest plugin behind it (``-p tests.checks --checks FILE``). A check is one test function. It counts its cases: the
 examples of hypothesis, or what it recorded as ``cases``, or the tests it was parametrized to. ``largest error`` is what it
@@ -23,9 +23,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Count only when asked to."""
+    """Count only when asked to; where xdist has workers, they describe what they did, and the process above them counts."""
     if config.getoption("--checks"):
-        config.pluginmanager.register(Counting(config.getoption("--checks")))
+        config.pluginmanager.register(Describing())
+        if not hasattr(config, "workerinput"):
+            config.pluginmanager.register(Counting(config.getoption("--checks")))
+
+
+class Describing:
+    """Adds to the report of a test what it is called here, and how many examples hypothesis tried."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+        """Describe one part of a test."""
+        report = yield
+        name = f"{_name_of(item.path)}::{item.originalname}"  # type: ignore[attr-defined]
+        passing = re.findall(r"(\d+) passing", getattr(item, "hypothesis_statistics", ""))
+        report.user_properties = [*item.user_properties, ("check", name), ("passing", list(map(int, passing)))]
+        return report
 
 
 class Counting:
@@ -35,26 +50,21 @@ class Counting:
         self._out = out
         self._checks: dict[str, dict[str, Any]] = {}
 
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take down one test when its body, or what stopped it before, is over."""
-        report = yield
         if report.when == "call" or report.outcome != "passed":
-            self._note(item, report)
-        return report
+            self._note(report)
 
-    def _note(self, item: pytest.Item, report: pytest.TestReport) -> None:
-        name = f"{_name_of(item.path)}::{item.originalname}"  # type: ignore[attr-defined]
+    def _note(self, report: pytest.TestReport) -> None:
+        recorded: dict[str, Any] = dict(report.user_properties)
         new = {"tests": 0, "cases": 0, "largest error": None, "failed": 0, "skipped": 0, "expected failures": 0}
-        check = self._checks.setdefault(name, new)
-        recorded = dict(item.user_properties)
-        passing = re.findall(r"(\d+) passing", getattr(item, "hypothesis_statistics", ""))
+        check = self._checks.setdefault(recorded["check"], new)
         check["tests"] += 1
         if report.outcome == "skipped":
             check["expected failures" if hasattr(report, "wasxfail") else "skipped"] += 1
             return
         check["failed"] += report.outcome == "failed"
-        check["cases"] += sum(map(int, passing)) if passing else recorded.get("cases", 1)
+        check["cases"] += sum(recorded["passing"]) or recorded.get("cases", 1)
         if "largest error" in recorded:
             check["largest error"] = max(check["largest error"] or 0.0, float(f"{recorded['largest error']:.2g}"))
 
@@ -80,9 +90,12 @@ def main() -> None:
     """Run the tests, counting; exit with pytest's status. Named tests replace their own lines of the file only."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", type=Path, default=ROOT / "docs" / "data" / "checks.json")
+    parser.add_argument("-n", default="0", help="processes that share the tests")
     args, others = parser.parse_known_args()
     before = json.loads(args.o.read_text(encoding="utf-8")) if others and args.o.exists() else []
-    status = pytest.main(["-q", "-p", "tests.checks", "--checks", str(args.o.resolve()), *others])
+    status = pytest.main(
+        ["-q", "-n", args.n, "--dist", "worksteal", "-p", "tests.checks", "--checks", str(args.o.resolve()), *others]
+    )
     write(args.o, [*before, *json.loads(args.o.read_text(encoding="utf-8"))])
     raise SystemExit(status)
 

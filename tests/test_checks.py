@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from rtrace.checks.hard_cases import CASES
 from tests.open_list import OPEN_LIST
 
@@ -47,10 +49,24 @@ def test_skipped():
 """
 
 
-def test_cases_errors_and_results_are_counted(tmp_path):
+@pytest.mark.parametrize("jobs", ["0", "2"])
+def test_cases_errors_and_results_are_counted(tmp_path, jobs):
     (tmp_path / "test_sample.py").write_text(SAMPLE)
     out = tmp_path / "checks.json"
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "tests.checks", "--checks", str(out), "-p", "no:cacheprovider"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "tests.checks",
+        "--checks",
+        str(out),
+        "-p",
+        "no:cacheprovider",
+        "-n",
+        jobs,
+    ]
     done = subprocess.run([*command, str(tmp_path)], cwd=TESTS.parent, capture_output=True, text=True, check=False)
     assert done.returncode == 1, done.stderr
     rows = {row.pop("check"): row for row in json.loads(out.read_text())}
