@@ -9,11 +9,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Unpack
 
-from nptrace.options import listing
 from nptrace.plans import Given, MachineOptions, listed, machines_plan
 from nptrace.results import Results
 from nptrace.studies import Where
-from nptrace.values import PATH, RESULTS, checked, pixels_text, text, whole
+from nptrace.typed import listing
+from nptrace.values import PATH, checked, pixels_text, sources_or, text, whole
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
 from traces.reader import Run, open_run
@@ -21,6 +21,12 @@ from traces.reader import Run, open_run
 if TYPE_CHECKING:
     from nptrace.tracing import Pixels
     from rtrace.scenes.scene import Scene
+
+_RESULTS = sources_or(
+    "results, a run, a path or a list of one or more",
+    "sweep.parquet",
+    lambda value: isinstance(value, Results) and len(value) > 0,
+)
 
 
 class Picture:
@@ -109,7 +115,7 @@ def view(
         return canvas.picture()
 
 
-@checked(sources=RESULTS)
+@checked(sources=_RESULTS)
 def plot(
     sources: Results | Where | Iterable[Results | Where], /, *, kind: str | None = None, size: Given = (), ways: Given = (),
     line: Given = (), prefetch: Given = (), layout: Given = (), output: Path | str | None = None, threads: int | None = None,

@@ -15,6 +15,7 @@ import click
 
 from nptrace import __version__, progress
 from nptrace.trouble import trouble
+from nptrace.typed import ARGS
 from nptrace_base import compiling
 from nptrace_base.errors import NptraceError
 
@@ -23,8 +24,6 @@ FOUND = "nptrace.found"
 
 #: Where a command keeps the texts of the options that its user typed: name of the function's parameter -> text, or a list.
 TYPED = "nptrace.typed"
-#: Where it keeps its words.
-ARGS = "nptrace.args"
 
 #: Exit status of a program that Ctrl-C ended.
 INTERRUPTED = 130

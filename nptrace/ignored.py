@@ -6,8 +6,8 @@ A command's own rules are calls of ``refuse``. --threads is a limit, which may s
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from nptrace.groups import BadInput
-from nptrace.options import given, listing
+from nptrace.typed import given, listing
+from nptrace_base.errors import NptraceError
 
 #: The values of a command's parameters, by the names of its function.
 Params = Mapping[str, Any]
@@ -56,13 +56,13 @@ RULES = (
 
 
 def check(params: Params) -> None:
-    """Raise BadInput if an option that the running command's user gave has no effect beside the others."""
+    """Raise NptraceError if an option that the running command's user gave has no effect beside the others."""
     for rule in RULES:
         if params.keys() >= {*rule.options, *rule.beside} and (reason := rule.reason(params)):
             refuse(reason, *rule.options)
 
 
 def refuse(reason: str, *names: str, way: str = "") -> None:
-    """Raise BadInput if the running command's user gave some of these options, by the names of its function."""
+    """Raise NptraceError if the running command's user gave some of these options, by the names of its function."""
     if others := given(*names):
-        raise BadInput(f"{reason}; leave out {listing(others)}{way}")
+        raise NptraceError(f"{reason}; leave out {listing(others)}{way}")

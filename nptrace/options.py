@@ -8,9 +8,9 @@ from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
-from nptrace.groups import ARGS, BadInput
+from nptrace.groups import BadInput
+from nptrace.typed import listing
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -33,26 +33,6 @@ def gathered(name: str, kind: type) -> Callable[[Callable[..., Any]], Callable[.
         return command
 
     return decorate
-
-
-def given(*names: str) -> list[str]:
-    """Return those of the running command's parameters, by the names of its function, that its user gave, as options."""
-    context = click.get_current_context()
-    words = {word.partition("=")[0] for word in context.meta.get(ARGS, ())}
-    typed = {
-        each.name: next((name for name in each.opts if name in words), each.opts[0])
-        for each in context.command.params if isinstance(each, click.Option)
-    }  # fmt: skip
-    usual = (None, ParameterSource.DEFAULT)
-    return [
-        typed.get(name, "RUN") for name in names
-        if context.get_parameter_source(name) not in usual and context.params[name] != ()  # no RUN is typed too
-    ]  # fmt: skip
-
-
-def listing(words: Sequence[str], last: str = "and") -> str:
-    """Return words as a part of a sentence: a, b and c."""
-    return f" {last} ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 class Choice(click.Choice):

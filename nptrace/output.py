@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nptrace.groups import BadInput
-from nptrace.options import Choice, listing
+from nptrace.options import Choice
+from nptrace.typed import listing
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:

@@ -147,12 +147,6 @@ def _source(value: Any) -> Any:
     return value if isinstance(value, Run) else _place(value)
 
 
-def _results(value: Any) -> Any:
-    from nptrace.results import Results
-
-    return value if isinstance(value, Results) and len(value) else _source(value)
-
-
 def _text_or_whole(value: Any) -> str | int:
     return _text(value) if isinstance(value, str) else _whole(value)
 
@@ -202,10 +196,13 @@ def whole(least: int, example: int, most: int | None = None) -> Kind:
     return Kind(f"a whole number from {least}" + (f" to {most}" if most else ""), example, _from(least, most))
 
 
+def sources_or(what: str, example: Any, is_taken: Callable[[Any], bool]) -> Kind:
+    """Return the kind of a run, a path or something else that is taken as it is, or of a list of them."""
+    return Kind(what, example, _one_or_more(_list_of(lambda value: value if is_taken(value) else _source(value))))
+
+
 FLAG = Kind("True or False", True, _flag)
 PATH, PLACE = Kind("a path", "file", _path), Kind("a path", "traces", _place)
-
-RESULTS = Kind("results, a run, a path or a list of one or more", "sweep.parquet", _one_or_more(_list_of(_results)))
 SCENE_NAME = Kind("the name of a scene or a mesh file", "sponza", lambda value: str(_path(value)))
 
 #: The kinds of options by name; where a function means something else, it says so.

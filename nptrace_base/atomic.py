@@ -170,7 +170,8 @@ def is_left(path: Path, mark: str) -> bool:
     if host == _host():
         return not _runs(int(pid), int(start, 16))
     with suppress(OSError):  # its writer has just renamed it
-        written = max(os.lstat(each).st_mtime for each in (path, *(path.iterdir() if path.is_dir() else ())))
+        inside = path.iterdir() if path.is_dir() and not path.is_symlink() else ()
+        written = max(os.lstat(each).st_mtime for each in (path, *inside))
         return time.time() - written > PATIENCE
     return False
 

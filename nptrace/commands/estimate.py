@@ -13,9 +13,7 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import (
     Caches,
     gathered,
-    given,
     list_option,
-    listing,
     policy_option,
     size_option,
     threads_option,
@@ -25,6 +23,7 @@ from nptrace.output import Output, output_option, results_options
 from nptrace.progress import done
 from nptrace.scene_options import Picture, Scenes, Trees, ray_options, scene_options, tree_options
 from nptrace.sources import LAYOUT_HELP
+from nptrace.typed import given, listing
 from nptrace_base.shell import word
 
 

@@ -9,12 +9,13 @@ import click
 from nptrace.estimates import Sampling, estimate_scenes
 from nptrace.following import following, named
 from nptrace.groups import BadInput, Command
-from nptrace.options import Choice, gathered, given, listing, seed_option, threads_option, workers_options
+from nptrace.options import Choice, gathered, seed_option, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
 from nptrace.scene_options import Picture, Scenes, Trees
 from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, traces_option
 from nptrace.table1_study.presets import PRESETS, note
+from nptrace.typed import given, listing
 from nptrace_base.places import Place
 
 if TYPE_CHECKING:

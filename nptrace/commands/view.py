@@ -12,10 +12,11 @@ from cachesim.clock.parameters import NUMBERS
 from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.groups import BadInput, Command
 from nptrace.ignored import refuse
-from nptrace.options import ListOf, gathered, given, merged, threads_option
+from nptrace.options import ListOf, gathered, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PlaceOf, one_prefetch_option, policies
+from nptrace.typed import given
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 

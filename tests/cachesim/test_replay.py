@@ -47,7 +47,7 @@ class Listed:
             yield (address.astype(np.uint32), size), label.astype(np.uint8)
 
     def lines(self, line_bytes, ahead):
-        return AddressLines(line_bytes)
+        return AddressLines(line_bytes, ahead)
 
 
 configs = st.builds(

@@ -50,7 +50,7 @@ class Listed:
             yield ((16 * lines[kept]).astype(np.uint32), 16), labels[kept].astype(np.uint8)
 
     def lines(self, line_bytes, ahead):
-        return AddressLines(line_bytes)
+        return AddressLines(line_bytes, ahead)
 
 
 def near_and_far(n, lines, near, seed):
@@ -173,7 +173,7 @@ def test_an_error_in_the_last_step_reaches_the_caller():
 
     class Wide(Listed):
         def lines(self, line_bytes, ahead):
-            return ManyLines(line_bytes)
+            return ManyLines(line_bytes, ahead)
 
     with pytest.raises(ValueError, match="use longer lines"):
         sweep(Wide([(1, 0)]), [CacheConfig(64, 4, 16)], threads=2)
@@ -263,8 +263,8 @@ def test_more_lines_than_slots_can_number_are_refused():
 class FilteredLines(AddressLines):
     """Lines of a source behind a filter."""
 
-    def __init__(self, line_bytes, direct):
-        super().__init__(line_bytes)
+    def __init__(self, line_bytes, ahead, direct):
+        super().__init__(line_bytes, ahead)
         self._direct = direct
 
     def accesses(self, events, labels):
@@ -280,7 +280,7 @@ class Filtered(Listed):
         self.direct = direct
 
     def lines(self, line_bytes, ahead):
-        return FilteredLines(line_bytes, self.direct)
+        return FilteredLines(line_bytes, ahead, self.direct)
 
 
 caches = st.builds(

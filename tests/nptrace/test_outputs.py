@@ -249,7 +249,9 @@ def test_links_that_were_left_are_swept_and_what_they_lead_to_stays(folder):
     (folder / "precious").mkdir()
     (folder / "precious" / "file").write_text("")
     for ending in ("tmp", "old"):
-        (folder / "traces" / f".one-bvh.999999999-12345678.{ending}").symlink_to(folder / "precious")
+        link = folder / "traces" / f".one-bvh.999999999-12345678.{ending}"
+        link.symlink_to(folder / "precious")
+        os.utime(link, (0, 0), follow_symlinks=False)
     run(cli.nptrace, *RENDER)
     assert os.listdir(folder / "traces") == ["one-bvh"]
     assert (folder / "precious" / "file").exists()

@@ -157,7 +157,7 @@ class Alternating:
             yield (address, 4), np.zeros(n, np.uint8)
 
     def lines(self, line_bytes, ahead):
-        return AddressLines(line_bytes)
+        return AddressLines(line_bytes, ahead)
 
 
 def test_more_misses_than_float32_counts():
