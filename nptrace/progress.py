@@ -62,11 +62,9 @@ def detail(text: str) -> None:
 def done(what: str, began: float, following: str = "") -> None:
     """Print the last line: what was done, since ``began`` on ``time.perf_counter``, and the command that may follow."""
     text = f"{what} in {time.perf_counter() - began:.1f} s"
-    whole, width = f"{text}; next: {following}", _width()
-    if not following:
-        say(text)
-    elif level >= USUAL and (width is None or len(whole) <= width):
-        _print(whole)
+    whole, width = f"{text}; next: {following}" if following else text, _width()
+    if not following or width is None or len(whole) <= width:
+        say(whole)
     elif level >= USUAL:  # the command, on lines that can be pasted
         say(text)
         _print("\n".join(["next:", *command_lines(following, width)]))
