@@ -125,7 +125,7 @@ MUTATIONS = [
     Mutation("terminal: it gets pictures", "nptrace/output.py", "                refuse_terminal(path, binary)", "                pass", "tests/nptrace/test_endings.py -k terminal"),
     Mutation("ignored: RUN and --traces together", "nptrace/ignored.py", 'if of["sources"] else None', "if False else None", "tests/nptrace/test_ignored.py -k effect"),
     Mutation("ignored: options of a BVH that is not built", "nptrace/ignored.py", '"bvh" not in of["accel"]', "False", "tests/nptrace/test_ignored.py -k effect"),
-    Mutation("ignored: a cache of a picture", "nptrace/commands/view.py", '    if not set(kinds) - {"picture"}:', "    if False:", "tests/nptrace/test_ignored.py -k effect"),
+    Mutation("ignored: a cache of a picture", "nptrace/commands/view.py", "    _check_used(shown.kinds, shown.prefetch)\n", "", "tests/nptrace/test_ignored.py -k effect"),
     Mutation("next: the options of caches are dropped", "nptrace/following.py", "words += [f\"{name} {word(text)}\" for text in texts] if texts else [name]", "pass", "tests/nptrace/test_following.py"),
     Mutation("next: a command that lacks an option is named", "nptrace/following.py", '        if same is None:\n            return ""', "        if same is None:\n            continue", "tests/nptrace/test_following.py"),
     Mutation("next: some runs of a folder are all", "nptrace/following.py", "for each in find_runs(parent)} == {", "for each in find_runs(parent)} >= {", "tests/nptrace/test_following.py"),
