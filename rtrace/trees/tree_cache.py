@@ -14,6 +14,7 @@ import zipfile
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -81,8 +82,13 @@ def _builder_digest() -> str:
     return digest_of([here.with_name("kdtree.py"), here.with_name("bvh.py")]) + hashlib.sha256(here.read_bytes()).hexdigest()
 
 
+#: Two trees are loaded at a time, and NumPy has Python parse the headers of arrays: two threads at once may end in a SystemError
+#: of Python 3.11 (CPython issue 106905).
+_reading = Lock()
+
+
 def _load(path: Path, scene: Scene, kind: str) -> Tree:
-    with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:  # the zip has a checksum for each array
+    with _reading, open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:  # the zip checks each array's sum
         params = json.loads(bytes(arrays["params"]))
         nodes = arrays["nodes"].view(KD_NODE if _tree_of(kind) == "kdtree" else BVH_NODE)
         prims, max_level = arrays["prims"], int(arrays["max_level"])

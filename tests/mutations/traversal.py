@@ -333,4 +333,5 @@ MUTATIONS = [
     Mutation('report: `return dinero_block(results[0])` becomes `return dinero_block(results[0], prefetch_row…`', 'cachesim/report/replay_tables.py',
              '        return dinero_block(results[0])\n',
              '        return dinero_block(results[0], prefetch_rows=False)\n', 'tests/nptrace/test_npcache.py'),
+    Mutation("trees: kept ones are read by threads at once", "rtrace/trees/tree_cache.py", "    with _reading, open(path", "    with open(path", "tests/rtrace/trees/test_loading.py"),
 ]
