@@ -82,8 +82,8 @@ def _builder_digest() -> str:
     return digest_of([here.with_name("kdtree.py"), here.with_name("bvh.py")]) + hashlib.sha256(here.read_bytes()).hexdigest()
 
 
-#: Two trees are loaded at a time, and NumPy has Python parse the headers of arrays: two threads at once may end in a SystemError
-#: of Python 3.11 (CPython issue 106905).
+#: Two trees are loaded at a time, and NumPy has Python parse the headers of arrays: in two threads at once, Python 3.11
+#: may raise a SystemError (CPython issue 106905).
 _reading = Lock()
 
 

@@ -28,10 +28,14 @@ def folder(tmp_path):
     return tmp_path
 
 
+#: Python 3.11 keeps the half of a compiled file that a limit of sizes leaves, and cannot import it later.
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
 def start(folder, *args, limit=None, program="nptrace"):
     command = [sys.executable, "-c", f"import cli; cli.{program}()", *map(str, args)]
     return subprocess.Popen(
-        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True, preexec_fn=limit,
     )  # fmt: skip
 
