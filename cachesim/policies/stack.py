@@ -212,6 +212,7 @@ def scout(machine: Machine, facts: Facts, *, live: bool = False, **options: Any)
     return Reads(np.zeros(facts.n_rows, np.uint8)) if live else None
 
 
+# Many parameters: one per option of the policy, as ``parse`` names them.
 def make_unit(
     machine: Machine, facts: Facts, *, budget: int = UNLIMITED, per_triangle: bool = False, once: bool = False,
     empty: bool = False, pop: bool = False, reset: int = TOP, levels: int = 1 << 16, live: bool = False,

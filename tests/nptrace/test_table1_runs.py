@@ -61,7 +61,7 @@ def test_the_only_run_of_a_scene_is_taken_and_named(rows):
     assert any("bunny-kdtree (stand-in, " in each and "a view that another row" in each for each in table1_notes(both))
 
 
-def test_what_was_asked_for_is_said_of_its_tree(rows):
+def test_a_row_names_what_was_asked_of_its_tree(rows):
     """One layout of two was told for both trees."""
     assert not any("Ours with" in each for each in table1_tables.notes(rows))
     of_one = [replace(row, layout="stored+8", reads="merged") if row.tree == "kdtree" else row for row in rows]

@@ -85,7 +85,7 @@ def test_table_1_of_rays_that_read_no_node():
 
 
 @pytest.mark.parametrize("row", [result(1000, 200, 0, 0, 200, "none"), result(0, 0, 9, 9, 0), result(9, 0, 9, 9, 0)])
-def test_nothing_is_said_of_what_has_no_rate(row):
+def test_what_has_no_rate_has_no_verdict(row):
     assert verdict([row]) == []
 
 
