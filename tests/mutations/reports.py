@@ -30,7 +30,7 @@ MUTATIONS = [
     Mutation("page: a row of a table is of another run", "cachesim/report/page.py", "return {\"text\": _text(row[key], form), \"order\": row[key]}", "return {\"text\": _text(row[key], form), \"order\": _text(row[key], form)}", REPORTED + " -k tables_have"),
     # verdicts
     Mutation("verdict: p per access of any kind", "cachesim/report/replay_tables.py", "p = [each.prefetch_accesses / each.demand_accesses for", "p = [each.prefetch_accesses / (each.demand_accesses + each.prefetch_accesses) for", VERDICTS),
-    Mutation("verdict: the paper's rate falls by 1 / (1 + p)", "cachesim/report/replay_tables.py", "ratio / (1 + extra) for ratio", "ratio - 1 / (1 + extra) for ratio", VERDICTS),
+    Mutation("verdict: 1 / (1 + p) subtracted instead of multiplied", "cachesim/report/replay_tables.py", "ratio / (1 + extra) for ratio", "ratio - 1 / (1 + extra) for ratio", VERDICTS),
     Mutation("verdict: bytes count fills alone", "cachesim/report/replay_tables.py", "traffic = [each.bytes_from_memory / (", "traffic = [each.prefetch_misses * each.config.line_bytes / (", VERDICTS),
     # Borders
     Mutation("border: a batch longer than a chunk is cut", "rtrace/render.py",
