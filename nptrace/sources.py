@@ -76,10 +76,11 @@ def _policy(is_clocked: bool, also: Sequence[str] = ()) -> Callable[[str], str]:
     """Return a function that passes on the text of a policy that there is; NptraceError names those that a command takes."""
 
     def checked(text: str) -> str:
+        from cachesim.policies import own_policy
         from cachesim.policies import policies as known
 
         name = text.strip().lower().partition(":")[0]
-        if name not in known() and text not in also:
+        if own_policy(name) is None and name not in known() and text not in also:
             forms = [*also, *(form for form, _ in (policies() if is_clocked else untimed_policies()))]
             raise NptraceError(f"there is no prefetch policy {name!r}; write one of {', '.join(forms)}")
         return text

@@ -74,8 +74,7 @@ def replay(
     npcache replay traces/bunny-bvh --by pixel -o pixels.parquet
     npcache replay x.din --size 2K --assoc 2 --format dinero
     """
-    from cachesim.by_group import GroupedRecords
-    from cachesim.report import group_tables, replay_tables
+    from cachesim.report import replay_tables
     from nptrace.studies import check_whole, replayed, replayed_by
     from nptrace_base.engines import engine_of
 
@@ -99,6 +98,9 @@ def replay(
             dinero=lambda: replay_tables.to_dinero(results),
         )  # fmt: skip
     else:
+        from cachesim.by_group import GroupedRecords
+        from cachesim.report import group_tables
+
         output.write(GroupedRecords(grouped), lambda: group_tables.tables(grouped))
     n = len(runs)
     what = f"{n} run{'s' * (n != 1)}, {len(configs)} cache{'s' * (len(configs) != 1)}, {bar.n_done:,} accesses read"

@@ -90,12 +90,13 @@ REPLAY = """
 import sys, cli
 from click.testing import CliRunner
 assert CliRunner().invoke(cli.npcache, ["replay"]).exit_code == 0
-print(sorted({"pandas", "matplotlib", "scipy", "trimesh", "numba.np.linalg", "numba.cpython.unicode"} & set(sys.modules)))
+heavy = {"pandas", "matplotlib", "scipy", "trimesh", "numba.np.linalg", "numba.cpython.unicode"}
+print(sorted((heavy | {"cachesim.by_group", "cachesim.policies.treelet"}) & set(sys.modules)))
 """
 
 
 def test_a_warm_start_imports_only_what_it_uses(tmp_path):
-    """Neither pandas, which Arrow looks for, nor what Numba can compile, nor what renders and draws."""
+    """Neither pandas, which Arrow looks for, nor what Numba can compile, nor what draws, nor other policies."""
     pytest.importorskip("pandas")
     python("import nptrace as nt; nt.replay(nt.render('blob', pixels='8x8', accel='bvh', offline=True))", tmp_path)
     assert python(REPLAY, tmp_path).stdout == "[]\n"
