@@ -174,6 +174,7 @@ def test_what_is_not_a_policy(text):
         ("kdtree", [(0, 2), (1, 2)]),  # pops an empty stack
         ("kdtree", [(0, 1), (1, 2), (3, 2)]),  # pops what was not pushed
         ("bvh", [(0, 0), (1, 2)]),  # missed the root's box, goes on
+        ("bvh", [(0, 1), (1, 1), (3, 2), (2, 2)]),  # leaves out a pushed node, whose box it has to read
         ("bvh", [(0, 1), (1, 1), (3, 1), (5, 2), (9, 2)]),  # a node that is not in the tree
         ("kdtree", [(0, 1), (1, 1), (3, 1), (5, 1), (7, 2)]),  # deeper than the tree
         ("bvh64", [(0, 0), (3, 2)]),  # neither a child of the node read nor popped
@@ -186,3 +187,11 @@ def test_a_trace_that_is_not_of_its_tree(kind, rows):
     parent = np.array([-1, 0, 0, 1, 1, 3, 3, 4, 4])
     with pytest.raises(ValueError, match="a traversal cannot read node .* after the rows before it"):
         UnitReplay(parse_prefetch("stack"), NODE_FORMATS[kind], n_prims, level, parent).events(*columns(rows))
+
+
+def test_a_bad_row_is_numbered_from_the_first_batch():
+    level, n_prims, parent = np.array([0, 1, 1]), np.array([0, 1, 1]), np.array([-1, 0, 0])
+    replayed = UnitReplay(parse_prefetch("stack"), NODE_FORMATS["kdtree"], n_prims, level, parent)
+    replayed.events(*columns([(0, 1), (1, 2), (2, 2), (0, 1)]))
+    with pytest.raises(ValueError, match="row 6: a traversal cannot read node 1 "):
+        replayed.events(*columns([(1, 2), (2, 2), (1, 2)]))

@@ -38,7 +38,7 @@ MUTATIONS = [
     Mutation("values: a quick look lets a node one beyond by", CH, "return highest <= last and", "return highest <= last + 1 and", "tests/traces/test_access_check.py"),
     Mutation("values: a quick look lets every kind by", CH, "is_allowed &= np.uint64(allowed[", "is_allowed |= np.uint64(allowed[", "tests/traces/test_access_check.py"),
     Mutation("values: rows count from the batch", "traces/run.py", "            row += read.num_rows\n", "", VALUES),
-    Mutation("values: the walk's rows count from the batch", "cachesim/prefetch.py", "        self._n_rows += nodes.size\n", "        self._n_rows += 1\n", "tests/test_fuzz.py tests/traces/test_run_values.py"),
+    Mutation("values: the walk's rows count from the batch", "cachesim/prefetch.py", "        self._n_rows += nodes.size\n", "        self._n_rows += 1\n", "tests/cachesim/test_prefetch.py"),
     Mutation("values: a BVH discards what it popped", "cachesim/prefetch.py", "sp = np.int64(0) if boxes == OWN_BOX else sp - 1", "sp -= 1", "tests/cachesim/test_prefetch.py tests/test_fuzz.py"),
     Mutation("values: other types are refused", CH, "return inner == wanted or pa.types.is_integer(inner) or pa.types.is_floating(inner)", "return inner == wanted", VALUES),
     Mutation("values: texts are numbers", CH, "or pa.types.is_floating(inner)\n", "or pa.types.is_floating(inner) or pa.types.is_string(inner)\n", VALUES),

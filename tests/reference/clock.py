@@ -163,8 +163,9 @@ class SlowClock:
         if slot.visit.is_leaf:
             self.policy.leaf_end(slot)
         slot.at += 1
-        if slot.at < len(slot.visits):
-            return self._enter(slot)
+        return self._enter(slot)
+
+    def _end(self, slot):
         self.policy.end(slot)
         self.last_cycle = self.now
         self.n_ended += 1
@@ -195,7 +196,9 @@ class SlowClock:
         return self._enter(slot)
 
     def _enter(self, slot):
-        """Come to the next visit."""
+        """Come to the next visit, or to the end of the ray."""
+        if slot.at == len(slot.visits):
+            return self._end(slot)
         visit = slot.visit
         if visit.pushes is not None:
             slot.stack.append(Entry(visit.pushes, visit.row - 1))

@@ -32,14 +32,15 @@ machines = st.fixed_dictionaries({
 
 
 class Case:
-    """A random trace, cut into rays, with the lines of its nodes."""
+    """A random trace, cut into rays, with the lines of its nodes; a share ``beside`` of rays pass the tree and read nothing."""
 
-    def __init__(self, kind, seed, line_bytes, base, n_rays=12):
+    def __init__(self, kind, seed, line_bytes, base, n_rays=12, beside=0.2):
         self.line_bytes = line_bytes
         self.trace = trace = make_trace(kind, seed, n_rays=n_rays)
         rng = np.random.default_rng(seed)
         rows = [row for row in trace.rows if row[2] != 3]
         starts = [i for i, row in enumerate(rows) if i == 0 or row[0] != rows[i - 1][0]]
+        starts = [i for i in [*starts, len(rows)] for _ in range((i < len(rows)) + (rng.random() < beside))]
         self.first = [*starts, len(rows)]
         self.waits_for = [-1] * len(starts)
         self.types = rng.integers(0, 2, len(starts)).astype(np.uint8)

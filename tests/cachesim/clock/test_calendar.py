@@ -1,7 +1,7 @@
 """The calendar against a list of events: the next in time, all slots of a cycle by number, however far ahead."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cachesim.clock.calendar import NEVER, SPAN, enter, lowest_bit, make_calendar, next_cycle, take_word
@@ -11,6 +11,7 @@ from tests.reference.clock_cases import Case, config_of, fast_account, slow_acco
 waits = st.one_of(st.integers(1, 3), st.integers(1, SPAN // 2), st.integers(SPAN - 2, 5 * SPAN))
 
 
+@example([[1 + slot % 7] for slot in range(70)])  # more slots than bits in a word, many of them in one cycle
 @given(st.lists(st.lists(waits, min_size=1, max_size=6), min_size=1, max_size=70))
 def test_events_come_in_their_cycle_and_in_the_order_of_their_slots(plans):
     """``plans``: for each slot, how long after one event it has its next."""

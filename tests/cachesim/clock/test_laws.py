@@ -39,12 +39,17 @@ def misses(case, config):
 
 @given(one_line, configs, st.integers(1, 9), st.integers(0, 300), st.integers(1, 3))
 def test_one_ray_and_one_outstanding_miss_are_equation_1(case, config, hit, extra, ports):
-    """N ((1 - R) hit + R miss), to the cycle: no prefetches, free tests, every node in one line."""
+    """N ((1 - R) hit + R miss), to the cycle: no prefetches, free tests, every node in one line.
+
+    A ray that reads nothing has its slot for a cycle; of the last ray nobody waits for the end of that cycle.
+    """
     config = config_of(config)
     numbers = {"hit": hit, "extra": extra, "mshrs": 1, "ports": ports, "transfer": 0, "box": 0, "triangle": 0, "every": 0}
     fast = fast_account(case, numbers | {"n_units": 0}, config, 1, "none")
     n, n_missed = len(lines_of(case)), misses(case, config)
-    assert fast["total"] == (n - n_missed) * hit + n_missed * (hit + extra)
+    read = [any(visit.lines for visit in visits) for visits in case.rays]
+    assert fast["idle"] == read[:-1].count(False)
+    assert fast["total"] == (n - n_missed) * hit + n_missed * (hit + extra) + fast["idle"]
     assert (fast["hits"], fast["misses"], fast["joined by demand"]) == (n - n_missed, n_missed, 0)
     assert (fast["hit"], fast["demand miss"]) == ((n - n_missed) * hit, n_missed * (hit + extra))
 

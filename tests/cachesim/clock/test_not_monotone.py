@@ -32,7 +32,7 @@ EXAMPLES = {
 @pytest.mark.parametrize("change", EXAMPLES)
 def test_better_may_be_slower(change, record_property):
     (kind, seed, n_rays), n_slots, machine, (n_sets, ways), before, after = EXAMPLES[change]
-    case = Case(kind, seed, 64, 0, n_rays)
+    case = Case(kind, seed, 64, 0, n_rays, beside=0)
     case.waits_for = [-1] * n_rays
     plain = {"hit": 1, "ports": 1, "box": 1, **machine, "every": machine["triangle"]}
     better, better_ways, better_slots = dict(plain), ways, n_slots

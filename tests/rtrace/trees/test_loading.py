@@ -1,8 +1,8 @@
 """Trees that are kept are loaded by several threads at a time."""
 
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
+from time import sleep
 
 from rtrace.scenes.scene import scene_from_triangles
 from rtrace.scenes.shapes import soup
@@ -24,6 +24,7 @@ def test_headers_of_arrays_are_parsed_by_one_thread_at_a_time(tmp_path, monkeypa
             with lock:
                 at_a_time[0] += 1
                 most[0] = max(most[0], at_a_time[0])
+            sleep(0.01)  # time enough for another thread to come, if none is kept waiting
             return self.arrays.__enter__()
 
         def __exit__(self, *error):
@@ -33,11 +34,6 @@ def test_headers_of_arrays_are_parsed_by_one_thread_at_a_time(tmp_path, monkeypa
 
     monkeypatch.setattr(tree_cache.np, "load", Watched)
     monkeypatch.setattr(tree_cache, "build_tree", None)
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    try:
-        with ThreadPoolExecutor(4) as pool:
-            list(pool.map(lambda i: tree_cache.cached_tree(scene, ("bvh", "kdtree")[i % 2], tmp_path / "trees"), range(16)))
-    finally:
-        sys.setswitchinterval(before)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda i: tree_cache.cached_tree(scene, ("bvh", "kdtree")[i % 2], tmp_path / "trees"), range(16)))
     assert most == [1]
