@@ -19,7 +19,7 @@ COMMANDS = {name: getattr(cli, program).commands.get(name) for program in ("nptr
 OTHERS = {
     "--size": {"sweep": "every size"},
     "--seed": {"check": "rays", "table1": "sample", "estimate": "sample", "render": "order"},
-    "--rays": {"render": "a file"}, "--out": {"map": "parts"}, "--format": {"export": "addresses"}, "--part": {"map": "share"},
+    "--rays": {"render": "a file"}, "--out": {"map": "parts"}, "--format": {"export": "addresses"},
     "--output": dict.fromkeys(("view", "export", "summarise", "plot", "report"), "no rows"), "--by": {"time": "of the clock"},
     "--hit": {"table1": "equation"}, "--miss": {"table1": "equation"}, "--pixels": {"table1": "of an estimate"},
     "--target-error": {"table1": "asks for an estimate"}, "--machine": {},
