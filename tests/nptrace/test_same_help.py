@@ -112,6 +112,11 @@ def test_an_old_name_of_a_tally_says_the_new_one(folder):
     assert "--by ray is now --by ray-type" in result.stderr and '"by": "ray-type"' in result.stdout
 
 
+def test_an_old_name_of_an_option_says_the_new_one(folder):
+    result = run("nptrace map one.obj --part 17")
+    assert "--part is now --one-in" in result.stderr and "'--one-in': 17" in result.stderr
+
+
 def test_messages_call_an_option_as_it_was_typed(folder):
     for name in ("--ways", "--assoc"):
         assert f"leave out {name}," in run(f"npcache plot {RUN} {name} 2 -o x.png").stderr
