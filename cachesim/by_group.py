@@ -73,7 +73,7 @@ class GroupedResult:
 
     @property
     def shown(self) -> np.ndarray:
-        """The numbers of the groups that have a row: every pixel, and what is accessed of all else."""
+        """The numbers of the groups that have a row, (m,) int64: every pixel, and what is accessed of all else."""
         if self.by == "pixel":
             return np.arange(len(self.groups["x"]))
         return np.flatnonzero(self.counts["demand_accesses"] + self.counts["prefetch_accesses"])

@@ -40,7 +40,7 @@ _CYCLES = {"miss-cycles": "demand miss", "late-cycles": "late prefetch"}
 
 
 @dataclass(frozen=True)
-class Setting:
+class HeatSetting:
     """What a run goes through: a cache, a machine and a prefetch policy."""
 
     config: CacheConfig
@@ -64,7 +64,7 @@ def needs(kind: str, prefetch: Prefetch) -> str:
 class HeatMaps:
     """The heat maps of one run under one setting; each pass over the run is made once, when a kind needs it."""
 
-    def __init__(self, source: RunSource, setting: Setting, *, threads: int | None = None) -> None:
+    def __init__(self, source: RunSource, setting: HeatSetting, *, threads: int | None = None) -> None:
         self._source, self._setting, self._threads = source, setting, threads
         self.identity: RunIdentity = source.identity
         self.shape = source.run.footer.height, source.run.footer.width

@@ -11,7 +11,8 @@ LEAST_DEPTH = 0.02
 def misses_by_size(counts: np.ndarray, sizes: Sequence[int]) -> list[int]:
     """Return the misses of fully associative LRU caches of some numbers of lines.
 
-    ``counts[d]`` are the accesses at stack distance d, ``counts[0]`` the first ones to a line (``StackDistances.counts``).
+    Of ``counts``, (n,) int64, ``counts[d]`` are the accesses at stack distance d, ``counts[0]`` the first ones to a line
+    (``StackDistances.counts``).
     """
     beyond = np.concatenate([np.cumsum(counts[::-1])[::-1], [0]])  # at distance d or more
     return [int(counts[0] + beyond[min(size + 1, len(counts))]) for size in sizes]

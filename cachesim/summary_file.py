@@ -186,4 +186,4 @@ def _checksum(arrays: dict[str, np.ndarray]) -> str:
 
 def _damaged(path: Path, error: Exception) -> NptraceError:
     reason = getattr(error, "strerror", None) or (str(error) or type(error).__name__).splitlines()[0]
-    return NptraceError(f"{path} is no summary that can be read ({reason}); make it again with npcache summarise")
+    return NptraceError(f"{path} is not a readable summary ({reason}); make it again with npcache summarise")

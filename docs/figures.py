@@ -75,7 +75,7 @@ def headline(cog) -> None:
 
 
 def finding(cog) -> None:
-    """Write what the study finds, in two sentences, from table1.csv and the clock's figures of docs/does-it-pay.md."""
+    """Write what the study finds, in a few sentences, from table1.csv and the clock's figures of docs/does-it-pay.md."""
     import pay
 
     with open(DATA / "table1.csv", encoding="utf-8") as file:
@@ -95,8 +95,9 @@ def finding(cog) -> None:
         f"counts prefetches as accesses. In our runs, the misses for which a ray waits fall to {demand['kdtree']} (kd-tree) "
         f"and {demand['bvh']} (BVH), and the bytes from memory are {bytes_}. In cycles, with one ray in flight, the unit "
         f"gives a speed-up of {pay.unit_gives('kdtree')} (kd-tree) and {pay.unit_gives('bvh')} (BVH). Without any unit, with "
-        f"16 MSHRs and at most 1.1 times the bytes, the fastest line and layout of each scene gives {most('kdtree')} and "
-        f"{most('bvh')}, the best single one for all scenes {pay.one_for_all('kdtree')} and {pay.one_for_all('bvh')}."
+        f"16 MSHRs and at most 1.1 times the bytes, the fastest line and layout of each scene give up to {most('kdtree')} "
+        f"(kd-tree) and {most('bvh')} (BVH); the best single pair for all scenes gives {pay.one_for_all('kdtree')} and "
+        f"{pay.one_for_all('bvh')}."
     )
 
 

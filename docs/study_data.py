@@ -8,7 +8,7 @@ from figures import DATA
 from study_figures import cache_text
 
 from cachesim.report.table1 import TREES
-from nptrace.table1_study.analysis import Study
+from nptrace.table1_study.analysis import StudyRows
 from nptrace.table1_study.figures import read_rows
 from nptrace.table1_study.fit import Fits
 
@@ -17,9 +17,9 @@ OWN = ("builder", "layout", "reads")
 
 
 @cache
-def study() -> Study:
+def study() -> StudyRows:
     """Return the study."""
-    return Study(read_rows(DATA / "study.parquet"))
+    return StudyRows(read_rows(DATA / "study.parquet"))
 
 
 @cache

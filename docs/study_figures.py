@@ -5,7 +5,7 @@ from pathlib import Path
 
 from cachesim.report.pictures import COLOURS, drawn
 from cachesim.report.table1 import SCENES, TREES, paper_table
-from nptrace.table1_study.analysis import Study, ranges, tornado
+from nptrace.table1_study.analysis import StudyRows, ranges, tornado
 from nptrace.table1_study.figures import read_rows
 
 HERE = Path(__file__).parent
@@ -20,7 +20,7 @@ def cache_text(cache: tuple[int, int]) -> str:
     return f"{cache[0] // 1024}K({cache[1]})"
 
 
-def draw_ranges(study: Study, path: Path) -> None:
+def draw_ranges(study: StudyRows, path: Path) -> None:
     """Draw, for every row of the table, our range and default, and the paper's value."""
     panels_of = {"miss_a": "miss rate A (%)", "miss_ratio": "miss rate B/A (%)"}
     with drawn(path, 7.2, 6.4) as figure:
@@ -42,7 +42,7 @@ def draw_ranges(study: Study, path: Path) -> None:
         panels[0, 0].legend(frameon=False, loc="lower left", bbox_to_anchor=(0, 1.08), ncols=2)
 
 
-def draw_tornado(study: Study, path: Path, name: str, unit: str) -> None:
+def draw_tornado(study: StudyRows, path: Path, name: str, unit: str) -> None:
     """Draw, for each scene and tree, how far each knob alone moves a figure."""
     with drawn(path, 7.2, 7.6) as figure:
         panels = figure.subplots(len(SCENES), len(TREES), squeeze=False, sharex=True)
@@ -58,7 +58,7 @@ def draw_tornado(study: Study, path: Path, name: str, unit: str) -> None:
         figure.supxlabel(unit, fontsize=8)
 
 
-def draw_truth(study: Study, path: Path) -> None:
+def draw_truth(study: StudyRows, path: Path) -> None:
     """Draw what the paper's metric saves against the demand misses that are saved, for every plausible setting."""
     with drawn(path, 7.2, 4.0) as figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -84,7 +84,7 @@ def draw_truth(study: Study, path: Path) -> None:
 
 def main(path: str) -> None:
     """Draw all."""
-    study = Study(read_rows(Path(path)))
+    study = StudyRows(read_rows(Path(path)))
     in_octaves, in_points = (f"{name} from the default, the median of the four caches" for name in ("octaves", "points"))
     for ending in (".svg", ".png"):
         draw_ranges(study, HERE / f"study-ranges{ending}")

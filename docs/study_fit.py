@@ -14,7 +14,7 @@ from nptrace.table1_study.fit import (
     Model,
     Placebo,
     Residual,
-    Summary,
+    RowDistances,
     beyond_target,
     held_out_by_cache,
     held_out_by_scene,
@@ -41,7 +41,7 @@ def _model(model: Model) -> str:
     return f"{', '.join([*shared, *own]) or 'every default'}; views {', '.join(views)}"
 
 
-def _told(found: Summary) -> str:
+def _told(found: RowDistances) -> str:
     return f"{found.median:.1f} | {found.worst:.1f} | {found.factor:.2f}"
 
 
@@ -95,7 +95,7 @@ def fit_table(cog: Any) -> None:
         held_out = [f"{span([each.median for each in of])} | {span([each.worst for each in of])}" for of in (halves, left_out)]
         is_near = "yes" if is_within_target(own.found) else "no"
         cog.outl(f"| {title} | own | {_told(own.found)} | {' | '.join(held_out)} | {is_near} | {own.held} |")
-        spans = [span([getattr(each.found, name) for each in others]) for name in Summary._fields]
+        spans = [span([getattr(each.found, name) for each in others]) for name in RowDistances._fields]
         near, held = sum(is_within_target(each.found) for each in others), [each.held for each in others]
         cog.outl(
             f"| {title} | exchanged | {' | '.join(spans)} | | | | | {near} of {len(others)} | {span(held, 0)}, mean "

@@ -298,7 +298,7 @@ def table1(
     equation = table.Equation(hit, miss, table.parse_n(n))
     if preset is not None:
         if preset not in PRESETS:
-            raise NptraceError(f"preset: {preset!r} is none of {', '.join(PRESETS)}")
+            raise NptraceError(f"preset: {preset!r} is not one of {', '.join(PRESETS)}")
         if _given(sources) or traces != "traces" or workers or scheduler or (policy, layout) != ("lru", "stored"):
             raise NptraceError("preset: it has its own pictures, caches and layouts; give n, hit, miss and threads alone")
         with Progress() as bar:

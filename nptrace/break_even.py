@@ -12,10 +12,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from cachesim.clock import parts as clock_parts
-from cachesim.clock import timing
+from cachesim.clock import sampled_rays, timing
 from cachesim.clock.parameters import PRESETS, Clock
-from cachesim.clock.parts import Estimated, time_part
+from cachesim.clock.sampled_rays import EstimatedSpeedUp, time_sample
 from cachesim.clock.timing import Timing, time_run
 from cachesim.config import CacheConfig
 from nptrace import __version__
@@ -34,7 +33,7 @@ OnPhase = Callable[[str, str, int | None], Callable[[int], object]]
 COLUMNS_OF_RUN = ("run", "scene", "stand_in", "tree", "leaf", "width", "height", "order")
 FIGURES = (
     "cycles", "cycles_without", "speed_up", "cycles_per_ray_without", "demand_reads", "requests", "filled",
-    "bytes_from_memory", "traffic_ratio", "accuracy", "demand_miss_rate", "spent_port", "parts",
+    "bytes_from_memory", "traffic_ratio", "accuracy", "demand_miss_rate", "spent_port", "one_in",
     "speed_up_half_width",
 )  # fmt: skip
 
@@ -74,20 +73,21 @@ class Grid:
 
 
 #: What the rows of a part follow from: another program times its run again.
-_CODE = (Path(__file__), *(Path(str(each.__file__)) for each in (timing, clock_parts)))
+_CODE = (Path(__file__), *(Path(str(each.__file__)) for each in (timing, sampled_rays)))
 
 QUICK = Grid(leaves=(1, 4), triangles=(8,), misses=(100,), rays=(1, 4), caches=((8192, 2),))
 
 
 def break_even(
-    scenes: Sequence[Scene], shooting: Shooting, grid: Grid, folder: Path, *, threads: int, on_phase: OnPhase, parts: int = 1,
+    scenes: Sequence[Scene], shooting: Shooting, grid: Grid, folder: Path, *, threads: int, on_phase: OnPhase, one_in: int = 1,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the rows of the map; runs and finished runs' rows are kept in ``folder``.
 
     Parameters
     ----------
-    parts : int
-        Time one of so many parts of the rays: rows have the half-width of the speed-up, and None for what parts do not tell.
+    one_in : int
+        Time one piece of the rays in so many: rows have the half-width of the speed-up, and None for what a sample does not
+        tell.
     on_phase : callable
         Called with the name of a run, a phase (those of a render, and ``time``) and its steps; returns a function to call with
         amounts of them.
@@ -99,42 +99,42 @@ def break_even(
             [scene], params, shooting, folder, threads=threads, tool_version=__version__, on_phase=on_phase
         ):  # fmt: skip
             run = open_run(str(summary.identity.path))
-            rows += _part(run, leaf, grid, parts, folder, threads, on_phase(run.name, "time", len(grid.caches)))
+            rows += _part(run, leaf, grid, one_in, folder, threads, on_phase(run.name, "time", len(grid.caches)))
     return rows
 
 
 def _part(
-    run: Run, leaf: int, grid: Grid, parts: int, folder: Path, threads: int, advance: Callable[[int], object]
+    run: Run, leaf: int, grid: Grid, one_in: int, folder: Path, threads: int, advance: Callable[[int], object]
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Return the rows of one run, from its file if there is one for this grid, of this program."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid), parts, digest_of(_CODE)], sort_keys=True)
+    asked = json.dumps([run.footer.to_json().decode(), leaf, asdict(grid), one_in, digest_of(_CODE)], sort_keys=True)
     path = folder / f"map-{hashlib.sha256(asked.encode()).hexdigest()[:16]}.parquet"
     if path.exists():
         try:
             return list(pq.read_table(path).to_pylist())
         except pa.ArrowException as e:
-            raise NptraceError(f"{path} is no part of a map: it cannot be read; delete it, and its run is timed again") from e
-    rows = list(_rows(run, leaf, grid, parts, threads, advance))
+            raise NptraceError(f"{path} cannot be read as a part of a map; delete it, and its run is timed again") from e
+    rows = list(_rows(run, leaf, grid, one_in, threads, advance))
     with whole_file(path) as temporary:
         write_parquet(rows, temporary, COLUMNS)
     return rows
 
 
 def _rows(
-    run: Run, leaf: int, grid: Grid, parts: int, threads: int, advance: Callable[[int], object]
+    run: Run, leaf: int, grid: Grid, one_in: int, threads: int, advance: Callable[[int], object]
 ) -> Iterator[dict[str, Any]]:  # fmt: skip
     configs, machine = grid.configs(max(32, run.footer.tree.node_bytes)), PRESETS["paper"].clock.to_dict()
     names = (*COLUMNS_OF_RUN, "size_bytes", "ways", "line_bytes", "prefetch", *machine, *FIGURES)
     for config in configs:
-        found: Sequence[Timing | Estimated]
-        if parts > 1:
-            found = time_part(run, [config], grid.clocks(), grid.prefetches, parts, threads)
+        found: Sequence[Timing | EstimatedSpeedUp]
+        if one_in > 1:
+            found = time_sample(run, [config], grid.clocks(), grid.prefetches, one_in, threads)
         else:
             found = time_run(run, [config], grid.clocks(), grid.prefetches, threads=threads)
         advance(1)
         for each in found:
-            figures = each.to_dict() | {"leaf": leaf, "parts": parts}
+            figures = each.to_dict() | {"leaf": leaf, "one_in": one_in}
             yield {name: figures.get(name) for name in names}

@@ -13,7 +13,7 @@ from nptrace.plans import Given, MachineOptions, listed, machines_plan
 from nptrace.results import Results
 from nptrace.studies import Where
 from nptrace.typed import listing
-from nptrace.values import PATH, checked, pixels_text, sources_or, text, whole
+from nptrace.values import PATH, checked, pixels_text, sources_or, text
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
 from traces.reader import Run, open_run
@@ -103,10 +103,10 @@ def view(
     NptraceError
         A value is wrong, a run cannot be read, or matplotlib is missing.
     """
-    from nptrace.commands.view import View, parse_kind
+    from nptrace.commands.view import ViewOptions, parse_kind
 
     machines = machines_plan(machine, size, ways, line, policy, seed, numbers)
-    shown = View(listed("heat", heat, parse_kind), difference, enlarge, machines, prefetch, layout, threads)
+    shown = ViewOptions(listed("heat", heat, parse_kind), difference, enlarge, machines, prefetch, layout, threads)
     shown.check_machines()
     runs = [run for each in _several(sources) for run in _runs(each)]
     shown.check(runs)
@@ -212,20 +212,20 @@ def report(
     """
     from cachesim.report.page import check_page
     from nptrace.api import _chosen
-    from nptrace.commands.report import Case, check, write_page
+    from nptrace.commands.report import PageRuns, check, write_page
 
     path = Path(output)
     check_page(path)
     machines = machines_plan(machine, size, ways, line, policy, seed, numbers)
     check(machines, prefetch, layout)
     runs = [each if isinstance(each, Run) else open_run(each) for each in _chosen(sources, traces)]
-    write_page(Case(runs, machines.configs, machines.clocks[0], prefetch, layout, threads), path)
+    write_page(PageRuns(runs, machines.configs, machines.clocks[0], prefetch, layout, threads), path)
     return path
 
 
-@checked(part=whole(1, 8, 16))
+@checked()
 def map(
-    *scenes: "str | Path | Scene", pixels: "Pixels" = "128x128", quick: bool = False, part: int = 1,
+    *scenes: "str | Path | Scene", pixels: "Pixels" = "128x128", quick: bool = False, one_in: int = 1,
     out: Path | str = "traces/map", threads: int | None = None, strict: bool = False, offline: bool = False,
 ) -> Results:  # fmt: skip
     """Map where prefetching pays: leaf size x triangle test x miss latency x rays in flight x cache, as ``nptrace map`` does.
@@ -236,8 +236,8 @@ def map(
         As those of ``render``.
     quick : bool
         Two leaf sizes and two machines.
-    part : int
-        Time every so many-th piece of the rays, from 1 to 16, for speed-ups with 95 % intervals in less time.
+    one_in : int
+        Time one piece of the rays in so many, from 1 to 16, for speed-ups with 95 % intervals in less time.
     out : Path
         Folder of this machine for the runs and the finished parts; the same call goes on where it stopped.
     threads : int, optional
@@ -261,7 +261,7 @@ def map(
         raise NptraceError("no scene is given; name a mesh file or a scene, e.g. map('sponza')")
     named = [str(each) if isinstance(each, Path) else each for each in scenes]
     rows = mapped(
-        lambda: load_scenes(named, strict, offline), pixels_text(pixels), Path(out), quick=quick, parts=part,
+        lambda: load_scenes(named, strict, offline), pixels_text(pixels), Path(out), quick=quick, one_in=one_in,
         threads=threads or os.cpu_count() or 1,
     )  # fmt: skip
     return Results("map", rows, lambda: map_tables.tables(rows))

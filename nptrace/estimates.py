@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cachesim.config import CacheConfig
 from nptrace.progress import Progress
-from nptrace.scene_options import Picture, Trees
+from nptrace.scene_options import PictureOptions, Trees
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Sampling:
 
 
 def estimate_scenes(
-    scenes: "Sequence[Scene]", trees: Trees, configs: Sequence[CacheConfig], picture: Picture, sampling: Sampling,
+    scenes: "Sequence[Scene]", trees: Trees, configs: Sequence[CacheConfig], picture: PictureOptions, sampling: Sampling,
     layouts: Sequence[str] = ("stored",),
 ) -> "list[tuple[str, Scene, Estimated]]":  # fmt: skip
     """Estimate every scene with every tree and layout; return (tree, scene, result) of each."""

@@ -89,8 +89,8 @@ class _Commands(dict[str, click.Command]):
         if super().__getitem__(name) is None:
             command = command_of(name)
             _version_option(self._program)(command)
-            _level_option("-q", "--quiet", progress.QUIET, "Print results and errors only.")(command)
-            _level_option("-v", "--verbose", progress.VERBOSE, "Print also notes that carry no news.")(command)
+            _verbosity_option("-q", "--quiet", progress.QUIET, "Print results and errors only.")(command)
+            _verbosity_option("-v", "--verbose", progress.VERBOSE, "Print also notes that carry no news.")(command)
             self[name] = command
         return super().__getitem__(name)
 
@@ -104,14 +104,14 @@ def _version_option(program: str) -> Any:
     return click.version_option(__version__, prog_name=program, message="%(prog)s %(version)s")
 
 
-def _level_option(short: str, long: str, level: int, help: str) -> Any:
-    """Return the option that sets how much is said."""
+def _verbosity_option(short: str, long: str, verbosity: int, help: str) -> Any:
+    """Return the option that sets how much a command prints."""
 
     def choose(ctx: click.Context, param: click.Parameter, is_chosen: bool) -> None:
-        if is_chosen and progress.level not in (progress.USUAL, level):
+        if is_chosen and progress.verbosity not in (progress.USUAL, verbosity):
             raise BadInput("-q asks for less and -v for more than usual; leave one out")
         if is_chosen:
-            progress.level = level
+            progress.verbosity = verbosity
 
     return click.option(short, long, is_flag=True, is_eager=True, expose_value=False, callback=choose, help=help)
 
@@ -215,7 +215,7 @@ class Commands(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""
-        progress.level = progress.USUAL
+        progress.verbosity = progress.USUAL
         try:
             return super().invoke(ctx)
         except BrokenPipeError:

@@ -1,4 +1,4 @@
-"""What a command says on stderr while it works: one line of progress on a terminal, notes, and a last line.
+"""What a command prints on stderr while it works: one line of progress on a terminal, notes, and a last line.
 
     with Progress(n_runs) as progress:
         progress.job("sponza bvh")                    # [1/8] sponza bvh
@@ -22,14 +22,14 @@ from nptrace_base.shell import command_lines
 
 QUIET, USUAL, VERBOSE = -1, 0, 1
 #: What -q and -v ask for; set for every command.
-level = USUAL
+verbosity = USUAL
 #: The line of progress that is on the terminal.
 _shown: "Progress | None" = None
 
 
 def say(text: str) -> None:
     """Print a note, above the line of progress if there is one; not with -q."""
-    if level < USUAL:
+    if verbosity < USUAL:
         return
     bar, width = _shown and _shown.bar, _width()
     if width is not None:
@@ -55,7 +55,7 @@ def _width() -> int | None:
 
 def detail(text: str) -> None:
     """Print a note that carries no news, with -v."""
-    if level >= VERBOSE:
+    if verbosity >= VERBOSE:
         say(text)
 
 
@@ -65,7 +65,7 @@ def done(what: str, began: float, following: str = "") -> None:
     whole, width = f"{text}; next: {following}" if following else text, _width()
     if not following or width is None or len(whole) <= width:
         say(whole)
-    elif level >= USUAL:  # the command, on lines that can be pasted
+    elif verbosity >= USUAL:  # the command, on lines that can be pasted
         say(text)
         _print("\n".join(["next:", *command_lines(following, width)]))
 
@@ -93,7 +93,7 @@ class Progress:
 
     def __enter__(self) -> "Progress":
         global _shown
-        if level >= USUAL and sys.stderr is not None and sys.stderr.isatty():
+        if verbosity >= USUAL and sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 

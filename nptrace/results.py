@@ -68,7 +68,7 @@ class Results:
     def to_csv(self, path: Path | str | None = None) -> str | None:
         """Write the rows as the command does with ``-o path``; without a path, return the text.
 
-        The file is written whole or not at all; NptraceError if it cannot be.
+        The file is written atomically; NptraceError if it cannot be.
         """
         return self._written("csv", self._flat, path)
 

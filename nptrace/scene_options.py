@@ -31,7 +31,7 @@ def accel_option() -> Any:
 def parse_tree(name: str) -> str:
     """Return the name of a tree."""
     if name.lower() not in ("kdtree", "bvh"):
-        raise NptraceError(f"{name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
+        raise NptraceError(f"{name!r} is not a tree; write kdtree, bvh, or kdtree,bvh")
     return name.lower()
 
 
@@ -192,7 +192,7 @@ class Trees:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PictureOptions:
     """The values of ``ray_options``, and of ``packet_options`` where a command has them."""
 
     pixels: str = "2048x2048"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cachesim.sweep import SweepRow
     from nptrace_base.engines import Engine
     from rtrace.ray_file import RayFile
-    from rtrace.render import Shooting, Summary
+    from rtrace.render import RunFacts, Shooting
     from rtrace.scenes.scene import Scene
 
 #: What is replayed: a run, or the place of a run or a trace.
@@ -38,7 +38,7 @@ def rendered(
     scenes: "Sequence[Scene]", params: Mapping[str, Mapping[str, Any]], shooting: "Shooting | RayFile", out: Place,
     bar: Progress, *, names: Sequence[str] = (), overwrite: bool = False, threads: int | None = None,
     engine: "Engine | None" = None,
-) -> "list[Summary]":  # fmt: skip
+) -> "list[RunFacts]":  # fmt: skip
     """Trace every scene with every tree and write the runs: by the engine's workers, or in this process."""
     from functools import partial
 
@@ -50,7 +50,7 @@ def rendered(
     from rtrace.trees.strays import margin_note
 
     if isinstance(shooting, RayFile):
-        say(f"{shooting.source}: {shooting.n_rays:,} rays, which are no picture, so image.png is one grey pixel")
+        say(f"{shooting.source}: {shooting.n_rays:,} rays and no picture, so image.png is one grey pixel")
     for scene in scenes:
         if scene.precision is not None:
             detail(f"{scene.label}: {float32_check.choice(scene.precision)}")

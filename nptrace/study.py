@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from rtrace.scenes.scene import Scene
     from rtrace.trees.tree import Tree
 
-Record = dict[str, Any]
-
 #: The keys outside the tables, and what they are when left out.
 TOP = {"out": "traces"}
 #: The options of packets and of shadow rays, in the order of ``Shooting``.
@@ -84,7 +82,7 @@ def read_study(path: Path) -> Study:
     except OSError as e:
         raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML, as in `nptrace run --help`") from e
     except (ValueError, RecursionError) as e:  # not TOML, not UTF-8, or thousands of brackets
-        raise NptraceError(f"{path} is no TOML: {e}; see https://toml.io, or `nptrace run --help`") from e
+        raise NptraceError(f"{path} is not valid TOML: {e}; see https://toml.io, or `nptrace run --help`") from e
     where = _Lines(path, text)
     tables = {name: value for name, value in found.items() if isinstance(value, dict)}
     plain = {name: value for name, value in found.items() if name not in tables}
@@ -265,14 +263,14 @@ class _Blame:
             raise self._lines.error(self._table, name, f"{key}{error}") from error
 
 
-def run_study(study: Study, *, threads: int | None = None) -> list[Record]:
+def run_study(study: Study, *, threads: int | None = None) -> list[dict[str, Any]]:
     """Make the runs that are not there, and the rows that are not there; return all rows, each with its ``section``."""
     of = study.render
     scenes = load_scenes(_several(of["scenes"]), of["strict"], of["offline"], _several(of["camera"]), of["light"])
     jobs = [(scene, shooting, params) for scene in scenes for shooting, params in study.pictures]
     plans = {name: _plan(name, values) for name, values in study.sections.items()}
     n_parts = sum(len(list(_parts(name, plan))) for name, plan in plans.items())
-    rows: list[Record] = []
+    rows: list[dict[str, Any]] = []
     with Progress(len(jobs) * (1 + n_parts)) as bar:
         for scene, shooting, params in jobs:
             run = _run_of(study, scene, shooting, params, bar, threads)
@@ -339,7 +337,7 @@ class _Part:
     layout: str
     prefetches: Sequence[str]
 
-    def rows(self, bar: Progress, threads: int | None) -> list[Record]:
+    def rows(self, bar: Progress, threads: int | None) -> list[dict[str, Any]]:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -357,7 +355,7 @@ class _Part:
             try:
                 found = pq.read_table(path).to_pylist()
             except (pa.ArrowException, OSError) as e:
-                raise NptraceError(f"{path} is no part of a study: it cannot be read; delete it, and it is made again") from e
+                raise NptraceError(f"{path} cannot be read as a part of a study; delete it, and it is made again") from e
             return found
         made = [{**each.run_columns, "section": self.name, **each.others} for each in self._made(bar, threads, how)]
         with whole_file(path) as temporary:
@@ -380,9 +378,9 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Row:
-    run_columns: Record
-    values: Record
+    run_columns: dict[str, Any]
+    values: dict[str, Any]
 
     @property
-    def others(self) -> Record:
+    def others(self) -> dict[str, Any]:
         return {name: value for name, value in self.values.items() if name not in self.run_columns}

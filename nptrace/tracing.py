@@ -202,7 +202,7 @@ def estimate(
     """
     from cachesim.report import estimate_tables
     from nptrace.estimates import Sampling, estimate_scenes
-    from nptrace.scene_options import Picture, Trees, load_scenes, parse_tree
+    from nptrace.scene_options import PictureOptions, Trees, load_scenes, parse_tree
 
     configs, _, layouts = estimate_plan(size, ways, line, policy, layout, is_table1=is_table1)
     cameras = [camera] if isinstance(camera, str) else list(camera or ())
@@ -213,7 +213,7 @@ def estimate(
     named = [str(each) if isinstance(each, Path) else each for each in scenes]
     seen = load_scenes(named, strict, offline, cameras, light)
     found = [result for *_, result in estimate_scenes(
-        seen, trees, configs, Picture(pixels_text(pixels), order, batch, seed), sampling, layouts
+        seen, trees, configs, PictureOptions(pixels_text(pixels), order, batch, seed), sampling, layouts
     )]  # fmt: skip
     return Results(
         "estimate", estimate_tables.records(found, "json"), lambda: estimate_tables.tables(found),

@@ -212,7 +212,7 @@ KINDS: dict[str, Kind] = {
     "summaries": Kind("a path or a list of them", ["1.sum", "2.sum"], _list_of(_path)),
     "run": Kind("a run or its path", "traces/sponza-bvh", _source), "path": PLACE, "out": PLACE, "traces": PLACE,
     "rays": _or_nothing(PATH), "resume": _or_nothing(PATH), "output": _or_nothing(PATH), "kind": _or_nothing(text("curves")),
-    "heat": texts(["accesses", "misses"]), "enlarge": _or_nothing(whole(1, 4, 64)),
+    "heat": texts(["accesses", "misses"]), "enlarge": _or_nothing(whole(1, 4, 64)), "one_in": whole(1, 8, 16),
     "accel": texts(["kdtree", "bvh"]), "name": texts(["a", "b"]),
     "camera": _or_nothing(texts("eye=1,2,3 at=0,0,0")), "light": _or_nothing(text("0,9,0")),
     "pixels": Kind("a text WxH or two whole numbers", "64x64", pixels_text),

@@ -8,7 +8,7 @@ from rtrace.chunk import Chunk
 
 
 @dataclass
-class Counts:
+class RunCounts:
     """The counts of consecutive chunks: of a run, or of a part of one."""
 
     n_rays: int = 0
@@ -32,5 +32,5 @@ class Counts:
         self.n_shadow += chunk.n_shadow
         self.n_shadowed += chunk.n_shadowed
 
-    def __add__(self, other: "Counts") -> "Counts":
-        return Counts(**{name: value + getattr(other, name) for name, value in asdict(self).items()})
+    def __add__(self, other: "RunCounts") -> "RunCounts":
+        return RunCounts(**{name: value + getattr(other, name) for name, value in asdict(self).items()})

@@ -24,11 +24,11 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, older, publish, sizes
 from nptrace_base.sources import digest_of
 from rtrace.chunk import Chunk
-from rtrace.counts import Counts
+from rtrace.counts import RunCounts
 from rtrace.ray_file import CHUNK as RAYS_OF_CHUNK
 from rtrace.ray_file import RayFile, ray_chunks
 from rtrace.rays import Rays
-from rtrace.render import Piece, Shooting, Summary, View, chunks, footer_of, pieces, png, shot, summary
+from rtrace.render import CameraAndLight, Piece, RunFacts, Shooting, chunks, footer_of, pieces, png, shot, summary
 from rtrace.scenes.scene import Scene
 from rtrace.shared_arrays import laid_out, mapped
 from rtrace.trees.tree import BVH_NODE, BVH_PAIR, KD_NODE, Tree, node_table
@@ -55,7 +55,7 @@ PART = 1 << 16
 
 
 @dataclass(frozen=True)
-class Job:
+class PartJob:
     """All that a worker needs to trace any part of a run; small, and free of arrays.
 
     ``file`` has the arrays of the tree, and of the rays where ``shooting`` is None; ``key`` tells the records of this run's
@@ -64,7 +64,7 @@ class Job:
 
     place: Place
     footer: Footer
-    view: View
+    view: CameraAndLight
     shooting: Shooting | None
     file: FileFacts
     key: str
@@ -76,7 +76,7 @@ class Finished:
     """A part that is written: its files, with the colours of its pixels, and its counts."""
 
     files: Mapping[str, FileFacts]
-    counts: Counts
+    counts: RunCounts
 
     def to_json(self) -> bytes:
         """Return the text of the record."""
@@ -97,7 +97,7 @@ def render_parts(
     on_write: Callable[[], object] = lambda: None,
     engine: Engine | None = None,
     part: int = PART,
-) -> Summary:
+) -> RunFacts:
     """Trace a picture, or the rays of a file, part by part, and write the run at ``path``; parameters as ``render.render``.
 
     Parameters
@@ -115,7 +115,7 @@ def render_parts(
     asked = [footer.to_json().decode(), file.sha256, part, _code()]
     key = hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:16]
     picture = None if rays is not None else shooting
-    job = Job(path, footer, View(scene.camera, scene.light), picture, file, key, _code())  # type: ignore[arg-type]
+    job = PartJob(path, footer, CameraAndLight(scene.camera, scene.light), picture, file, key, _code())  # type: ignore[arg-type]
     if isinstance(shooting, Shooting):
         parts = _cut(pieces(shooting), max(part // shooting.packet, 1))
     else:
@@ -138,9 +138,10 @@ def render_parts(
             there = replace(job, place=path.absolute() if isinstance(path, Path) else path)  # workers may be in other folders
             results = engine.results(trace_part, [(there, *task[1:]) for task in tasks])
         for i, finished in results:
-            found[tasks[i][1]] = finished
-            needed |= _on_the_way(tasks[i][1], finished, key)
-            progress(_n_shaded(tasks[i][2], shooting))
+            _, number, stretch = tasks[i]
+            found[number] = finished
+            needed |= _on_the_way(number, finished, key)
+            progress(_n_shaded(stretch, shooting))
         on_write()
         return _completed(job, tree, parts, [found[number] for number in range(len(parts))], began)
     except (OSError, RunError) as e:
@@ -166,7 +167,8 @@ def _cut(pieces: Iterator[Piece], part: int) -> list[list[Piece]]:
             parts.append([])
             n = 0
         parts[-1].append(piece)
-        n += piece[1] - piece[0]
+        start, stop, _ = piece
+        n += stop - start
     return parts
 
 
@@ -180,7 +182,7 @@ def _n_shaded(stretch: Sequence[Piece], shooting: Shooting | RayFile) -> int:
 
 
 def trace_part(
-    job: Job, number: int, stretch: Sequence[Piece], given: tuple[Tree, RayFile | None] | None = None, threads: int = 1
+    job: PartJob, number: int, stretch: Sequence[Piece], given: tuple[Tree, RayFile | None] | None = None, threads: int = 1
 ) -> Finished:
     """Trace a part, write its files and then its record; what a worker does.
 
@@ -200,7 +202,7 @@ def trace_part(
             "install the same version for all workers"
         )
     tree, rays = given or _given(job)
-    counts, writer, colours = Counts(), PartWriter(), zlib.compressobj(1)
+    counts, writer, colours = RunCounts(), PartWriter(), zlib.compressobj(1)
     squeezed = []
     traced: Iterator[Chunk]
     if job.shooting is None:
@@ -237,7 +239,7 @@ def _on_the_way(number: int, finished: Finished, key: str) -> set[str]:
     return {_record(number, key), finished.files["colours"].name}
 
 
-def _finished_before(job: Job) -> dict[int, Finished]:
+def _finished_before(job: PartJob) -> dict[int, Finished]:
     """Return the parts that an earlier render of this run has finished, and whose files are there."""
     there, found = sizes(job.place), {}
     for name in there:
@@ -246,18 +248,18 @@ def _finished_before(job: Job) -> dict[int, Finished]:
                 values = json.loads((job.place / name).read_bytes())
                 files = {what: parse_file(each) for what, each in values["files"].items()}
                 if all(there.get(file.name) == file.bytes for file in files.values()):
-                    found[int(match[1])] = Finished(files, Counts(**values["counts"]))
+                    found[int(match[1])] = Finished(files, RunCounts(**values["counts"]))
     return found
 
 
 def _completed(
-    job: Job, tree: Tree, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished], began: float
-) -> Summary:  # fmt: skip
+    job: PartJob, tree: Tree, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished], began: float
+) -> RunFacts:  # fmt: skip
     """Write what the run has once, and then its manifest; delete what was there for the workers, and what is of other runs.
 
     These are the run before it, and what killed renders of others have left: what was not written since this one began.
     """
-    where, counts = job.place, sum((each.counts for each in finished), Counts())
+    where, counts = job.place, sum((each.counts for each in finished), RunCounts())
     fields = SPLIT if NODE_FORMATS[tree.kind].tree == "kdtree" else BOX
     nodes, n_nodes = encoded_table(node_schema(job.footer, fields), node_table(tree), job.footer)
     image = png(_picture(job, parts, finished))
@@ -284,7 +286,7 @@ def _completed(
     return summary(footer, where, counts, n_nodes, n_bytes)
 
 
-def _made_meanwhile(job: Job, needed: set[str]) -> Summary | None:
+def _made_meanwhile(job: PartJob, needed: set[str]) -> RunFacts | None:
     """Return the summary of this very run if another render of it has completed it, and deleted files that this one needs."""
     with suppress(OSError, NptraceError):
         there = sizes(job.place).keys()
@@ -292,7 +294,7 @@ def _made_meanwhile(job: Job, needed: set[str]) -> Summary | None:
         own = {name: getattr(job.footer, name) for name in ("n_rays", "n_accesses", "image_sha256")}
         if needed <= there or replace(run.footer, **own) != job.footer:
             return None
-        counts = Counts(run.footer.n_rays, run.n_accesses)
+        counts = RunCounts(run.footer.n_rays, run.n_accesses)
         rays = run.columns("rays", ["type", "prim"])
         is_shadow, has_met = rays["type"] == SHADOW, rays["prim"] >= 0
         counts.n_shadow, counts.n_shadowed = int(is_shadow.sum()), int((is_shadow & has_met).sum())
@@ -306,7 +308,7 @@ def _made_meanwhile(job: Job, needed: set[str]) -> Summary | None:
     return None
 
 
-def _picture(job: Job, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished]) -> np.ndarray:
+def _picture(job: PartJob, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished]) -> np.ndarray:
     """Return the picture, (height, width, 3) uint8, from the colours of the parts; of rays from a file there is none."""
     width, height = (1, 1) if job.shooting is None else (job.shooting.width, job.shooting.height)
     picture = np.zeros((height * width, 3), np.uint8)
@@ -336,7 +338,7 @@ def _arrays(tree: Tree, rays: RayFile | None) -> tuple[dict[str, np.ndarray], di
     return arrays, facts
 
 
-def _given(job: Job) -> tuple[Tree, RayFile | None]:
+def _given(job: PartJob) -> tuple[Tree, RayFile | None]:
     """Return the tree and the rays of a job's file, mapped."""
     arrays, facts = mapped(job.place / job.file.name, job.file)
     types = {"nodes": KD_NODE if facts["kind"] == "kdtree" else BVH_NODE, "pairs": BVH_PAIR}

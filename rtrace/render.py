@@ -22,7 +22,7 @@ from nptrace_base.pools import thread_pool
 from nptrace_base.shell import word
 from rtrace.camera import Camera, Point, format_camera
 from rtrace.chunk import MOST_EVENTS, Chunk, shoot, smaller_pieces
-from rtrace.counts import Counts
+from rtrace.counts import RunCounts
 from rtrace.packets import packet_starts, shot_pixels
 from rtrace.ray_file import RayFile, ray_chunks
 from rtrace.run_names import run_name
@@ -47,7 +47,7 @@ Phase = Callable[[str, str, int | None], Callable[[int], object]]
 Piece = tuple[int, int, int | None]  # first packet, the one after the last, which pass
 
 
-class Summary(NamedTuple):
+class RunFacts(NamedTuple):
     """The counts of a run, for a line of output."""
 
     identity: RunIdentity
@@ -83,7 +83,7 @@ class Summary(NamedTuple):
         return self.n_accesses / self.n_rays
 
 
-class View(NamedTuple):
+class CameraAndLight(NamedTuple):
     """What tracing takes of a scene beside its triangles, which a tree has."""
 
     camera: Camera
@@ -91,7 +91,7 @@ class View(NamedTuple):
 
 
 def chunks(
-    tree: Tree, scene: Scene | View, shooting: Shooting, threads: int, stretch: Iterable[Piece] | None = None
+    tree: Tree, scene: Scene | CameraAndLight, shooting: Shooting, threads: int, stretch: Iterable[Piece] | None = None
 ) -> Iterator[Chunk]:
     """Yield the traced chunks in shooting order, at most ``AHEAD`` x threads of them in memory.
 
@@ -126,7 +126,8 @@ def chunks(
                 try:
                     chunk = future.result()
                 except NoRoomError:
-                    waiting.extendleft(map(submitted, reversed(smaller_pieces(piece[0], piece[1], batch, piece[2]))))
+                    start, stop, which = piece
+                    waiting.extendleft(map(submitted, reversed(smaller_pieces(start, stop, batch, which))))
                     continue
                 yield chunk
                 waiting.extend(map(submitted, islice(following, max(AHEAD * threads - len(waiting), 0))))
@@ -137,7 +138,7 @@ def chunks(
 
 @lru_cache(1)
 def shot(shooting: Shooting) -> tuple[np.ndarray, Sequence[int] | np.ndarray]:
-    """Return the pixels of a picture in shooting order, and where each packet begins among them, as ``packets`` has them.
+    """Return the pixels of a picture, (n,) uint32 in shooting order, and where each packet begins among them, as ``packets``.
 
     The last ones are kept, for a worker that traces part after part of a picture.
     """
@@ -213,7 +214,7 @@ def render(
     tool_version: str = "",
     progress: Callable[[int], object] = lambda pixels: None,
     on_write: Callable[[], object] = lambda: None,
-) -> Summary:
+) -> RunFacts:
     """Trace a picture, or the rays of a file, and write the run at ``path`` atomically.
 
     Parameters
@@ -230,7 +231,7 @@ def render(
     else:
         width, height, traced = shooting.width, shooting.height, chunks(tree, scene, shooting, threads)
     picture = np.zeros((height * width, 3), np.uint8)
-    counts = Counts()
+    counts = RunCounts()
     footer = footer_of(scene, tree, shooting, tool_version)
     with RunWriter(path, footer, fields) as run:
         run.append("nodes", partial(node_tables, tree, ROW_GROUP))
@@ -247,10 +248,10 @@ def render(
     return summary(footer, path, counts, len(tree.nodes), sum(file.stat().st_size for file in path.iterdir()))
 
 
-def summary(footer: Footer, path: Place, counts: Counts, n_nodes: int, n_bytes: int) -> Summary:
+def summary(footer: Footer, path: Place, counts: RunCounts, n_nodes: int, n_bytes: int) -> RunFacts:
     """Return the counts of the run at a place."""
     n_leaves = 0 if footer.tree.node_format.reads_leaves else counts.n_leaves
-    return Summary(
+    return RunFacts(
         identity_of(footer, printable(path.name), printable(str(path))), footer.scene.n_triangles, n_nodes, counts.n_rays,
         counts.n_hits, counts.n_shadow, counts.n_shadowed, counts.n_accesses - counts.n_prefetches - n_leaves,
         counts.n_prefetches, n_bytes,
@@ -269,8 +270,8 @@ def render_all(
     threads: int = 2,
     tool_version: str = "",
     on_phase: Phase = lambda run, phase, total: lambda done: None,
-    render_one: Callable[..., Summary] = render,
-) -> Iterator[Summary]:
+    render_one: Callable[..., RunFacts] = render,
+) -> Iterator[RunFacts]:
     """Render each scene with each tree of ``params`` (kind -> builder parameters) as a run in ``folder``.
 
     ``run_names`` names the runs; with ``names``, one per scene, they are ``<name>-<tree>``. The trees are built by threads

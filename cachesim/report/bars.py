@@ -75,7 +75,8 @@ def draw_levels(rows: Sequence[Row], path: Path) -> None:
     shown = [row for row in rows if row["by"] in LEVELS and row.get("class") != "no node"]  # which nothing reads
     if not shown:
         raise NptraceError(
-            f"results by {rows[0]['by']} are no bars; write them by level or ray-type, or see nptrace view for pixels"
+            f"results by {rows[0]['by']} cannot be drawn as bars; write them by level or ray-type, or see nptrace view for "
+            "pixels"
         )
     by_case: dict[str, list[Row]] = {}
     is_mixed = len({row["by"] for row in shown}) > 1

@@ -30,7 +30,7 @@ _ORDERED = ("ways", "lines")
 _CROWDING = ("ways", "lines", "policy")
 
 
-class Point(NamedTuple):
+class CurvePoint(NamedTuple):
     """One cache of one case: ``facts`` by ``_DIMENSIONS``, size in bytes, demand miss rate as a fraction."""
 
     subject: str
@@ -56,7 +56,7 @@ def subject_of(identity: RunIdentity) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def points_of(rows: Sequence[Row]) -> list[Point]:
+def points_of(rows: Sequence[Row]) -> list[CurvePoint]:
     """Return the points of rows: of each cache with its prefetches, and of the same cache without them, once."""
     identities = list(dict.fromkeys(identity_of(row) for row in rows))
     names = labels(identities)
@@ -72,7 +72,7 @@ def points_of(rows: Sequence[Row]) -> list[Point]:
         titles = {each: names[each] for each in identities}
     # The orders of the rays tell the runs of a subject apart, or else their names do.
     told_by_order = all(len({_order_of(each) for each in members}) == len(members) for members in subjects.values())
-    found: dict[tuple[Any, ...], Point] = {}
+    found: dict[tuple[Any, ...], CurvePoint] = {}
     for row in rows:
         identity = identity_of(row)
         facts = {name: facts_of(row).get(name, "") for name in _DIMENSIONS if name in FACTS}
@@ -84,7 +84,7 @@ def points_of(rows: Sequence[Row]) -> list[Point]:
         for of, rate in both:
             if rate is not None:
                 key = (identity, *(of[name] for name in _DIMENSIONS), row["size_bytes"])
-                found[key] = Point(titles[identity], of, row["size_bytes"], rate)
+                found[key] = CurvePoint(titles[identity], of, row["size_bytes"], rate)
     return list(found.values())
 
 
@@ -99,7 +99,7 @@ def _order_of(identity: RunIdentity) -> str:
     return ", ".join([f"{identity.order or ''}{seed}", *batch, *identity.knobs])
 
 
-def drawn_ways(points: Sequence[Point]) -> list[Point]:
+def drawn_ways(points: Sequence[CurvePoint]) -> list[CurvePoint]:
     """Return the points whose number of ways is drawn."""
     numbers = {int(text.removesuffix("-way")) for text in (point.facts["ways"] for point in points) if text != "full"}
     if len(numbers) <= MOST_WAYS:
@@ -108,7 +108,7 @@ def drawn_ways(points: Sequence[Point]) -> list[Point]:
     return [point for point in points if point.facts["ways"] in {"full", *(f"{n}-way" for n in kept)}]
 
 
-def channels_of(points: Sequence[Point]) -> dict[str, str]:
+def channels_of(points: Sequence[CurvePoint]) -> dict[str, str]:
     """Return the channel of each dimension that varies; one that no channel can show has panels: ``panel``.
 
     Where a panel would have too many lines, each number of ways has panels of its own, then each line size, and so on.
@@ -131,10 +131,10 @@ def channels_of(points: Sequence[Point]) -> dict[str, str]:
     return found
 
 
-def lines_of(points: Sequence[Point], channels: Mapping[str, str]) -> list[Line]:
+def lines_of(points: Sequence[CurvePoint], channels: Mapping[str, str]) -> list[Line]:
     """Return the curves."""
     own = [name for name in _DIMENSIONS if channels.get(name) == "panel"]
-    by_key: dict[tuple[Any, ...], list[Point]] = {}
+    by_key: dict[tuple[Any, ...], list[CurvePoint]] = {}
     for point in points:
         by_key.setdefault((point.subject, *(point.facts[name] for name in _DIMENSIONS)), []).append(point)
     found = []
@@ -189,7 +189,7 @@ def _annotate(axes: Any, line: Line) -> None:
         axes.annotate(f"{100 * rate:.2f} %", (size, 100 * rate), (7, 3), textcoords="offset points", fontsize=8)
 
 
-def _styles(name: str, channel: str, points: Sequence[Point]) -> dict[str, dict[str, Any]]:
+def _styles(name: str, channel: str, points: Sequence[CurvePoint]) -> dict[str, dict[str, Any]]:
     """Return how each value of a dimension is drawn."""
     values = list(dict.fromkeys(point.facts[name] for point in points))
     if name in _ORDERED:
@@ -228,7 +228,7 @@ def _number(text: str) -> float:
     return float(digits.rstrip("KM")) * unit
 
 
-def _set_axes(axes: Any, points: Sequence[Point]) -> None:
+def _set_axes(axes: Any, points: Sequence[CurvePoint]) -> None:
     """Set the scales that all panels share, with a number at every cache size or at those that fit, and at round rates."""
     from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 

@@ -7,7 +7,7 @@ from cachesim.config import format_bytes
 from cachesim.report.cases import STAND_IN_NOTE
 from cachesim.report.table1 import HIT_CYCLES, MISS_CYCLES, NAMES, PAPER_N, TREES, Key, acpr, paper_table
 from cachesim.report.table1_tables import ACPR_NOTE
-from cachesim.sampling.estimate import CONFIDENCE, OF_THE_RUN, QUANTITIES, Cell, Estimated
+from cachesim.sampling.estimate import CONFIDENCE, OF_THE_RUN, QUANTITIES, CacheEstimate, Estimated
 from cachesim.sampling.two_phase import Interval
 from nptrace_base.tables import Table, number
 from traces.identity import labels
@@ -122,7 +122,7 @@ def table1_tables(results: Sequence[tuple[str, str, Estimated]]) -> tuple[list[T
     return [*made, _cost(estimated)], [*NOTES, ACPR_NOTE, *stand_ins, *_reasons(estimated)]
 
 
-def _table1_values(tree: str, cell: Cell) -> dict[str, Interval | None]:
+def _table1_values(tree: str, cell: CacheEstimate) -> dict[str, Interval | None]:
     """Return the columns of Table I, in per cent, KB and cycles, and the demand metric behind them."""
     of = cell.values
 

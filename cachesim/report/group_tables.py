@@ -70,7 +70,7 @@ def _every_group(title: str, result: GroupedResult) -> Table:
 
 
 def summary(counts: np.ndarray) -> dict[str, Any]:
-    """Return what tells how a count is spread over groups; shares in the hottest are None where nothing is counted."""
+    """Return how a count, (n_groups,) int64, is spread; shares in the hottest groups are None where nothing is counted."""
     ordered, total = np.sort(counts)[::-1], int(counts.sum())
     hottest = {share: ordered[: max(round(len(ordered) * share), 1)].sum() / total if total else None for share in (0.01, 0.1)}
     return {

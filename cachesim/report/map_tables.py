@@ -1,13 +1,13 @@
 """The break-even map as a table, in sentences, and as a plot."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import isnan, nan
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from cachesim.clock.parts import PIECES
-from cachesim.report.cases import STAND_IN_NOTE
+from cachesim.clock.sampled_rays import PIECES
+from cachesim.report.cases import STAND_IN_NOTE, Row
 from cachesim.report.pictures import drawn
 from nptrace_base.tables import Table, number
 
@@ -22,8 +22,6 @@ NOTES = (
     "speed-up = cycles without prefetching / with, the same cache and machine: median (least to most) over scenes, leaf "
     "sizes, triangle tests, miss latencies and caches; pays % and costs %: cells above 1.005 and below 0.995.",
 )
-
-Row = Mapping[str, Any]
 
 
 def tables(rows: Sequence[Row]) -> tuple[list[Table], list[str]]:
@@ -57,12 +55,12 @@ def _stand_ins(rows: Sequence[Row]) -> list[str]:
 
 
 def _doubt(rows: Sequence[Row]) -> list[str]:
-    """Return how far the speed-ups of a map from part of the rays may be off."""
+    """Return how far the speed-ups of a map from a sample of the rays may be off."""
     widths = [row["speed_up_half_width"] for row in rows if row.get("speed_up_half_width") is not None]
     if not widths:
         return []
     return [
-        f"from one in {rows[0]['parts']} of the {PIECES} pieces of the rays: a speed-up is within its half-width of that of "
+        f"from one in {rows[0]['one_in']} of the {PIECES} pieces of the rays: a speed-up is within its half-width of that of "
         f"all rays in 95 % of the cells; it is {number(median(widths), 3)} in the middle and {number(max(widths), 3)} at "
         "most. A cell pays or costs only if all of its interval lies above 1.005 or below 0.995."
     ]

@@ -271,7 +271,7 @@ def _curve(case: Distances, names: Mapping[RunIdentity, str]) -> list[dict[str, 
 
 
 def blocks(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the sums of a map over squares of pixels, as few to a side as ``MOST_CELLS`` allows, and that side."""
+    """Return the sums of a map, (height, width), over squares of as few pixels as ``MOST_CELLS`` allows, and their side."""
     side = -(-max(values.shape) // MOST_CELLS)
     rows, columns = (range(0, n, side) for n in values.shape)
     return np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1), side

@@ -8,7 +8,6 @@ _RUN: Any = {"field": "label", "title": "run", "scale": {"range": list(COLOURS)}
 _SIZES = {"type": "log", "base": 2}
 #: Text of a size in bytes on an axis: 8K.
 _BYTES = "datum.value >= 1048576 ? datum.value / 1048576 + 'M' : datum.value >= 1024 ? datum.value / 1024 + 'K' : datum.value"
-_SHARE = {"format": ".1%"}
 
 
 def _hover(*fields: tuple[str, str, str]) -> list[dict[str, Any]]:

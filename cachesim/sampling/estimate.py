@@ -45,7 +45,7 @@ EXACT_BELOW = 1e8
 
 
 @dataclass
-class Cell:
+class CacheEstimate:
     """One cache: ``values`` by the names of ``QUANTITIES``; None where the denominator is 0."""
 
     config: CacheConfig
@@ -76,7 +76,7 @@ class Estimated:
     identity: RunIdentity
     method: str
     reason: str
-    cells: list[Cell]
+    cells: list[CacheEstimate]
     accesses_per_ray: Interval | None
     prefetches_per_access: Interval | None
     n_units: int
@@ -201,8 +201,9 @@ def _result(
 ) -> Estimated:  # fmt: skip
     defined = [None if math.isnan(interval.value) else interval for interval in intervals]
     cells = [
-        Cell(config, {name: defined[place_of(k, name)] for name in QUANTITIES}) for k, config in enumerate(call.configs)
-    ]  # fmt: skip
+        CacheEstimate(config, {name: defined[place_of(k, name)] for name in QUANTITIES})
+        for k, config in enumerate(call.configs)
+    ]
     per_ray, per_access = defined[: len(OF_THE_RUN)]
     return Estimated(
         call.source.identity, method, reason, cells, per_ray, per_access,

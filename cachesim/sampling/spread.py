@@ -52,7 +52,9 @@ def unlike_any(distance: np.ndarray, least: np.ndarray, n_units: float) -> np.nd
 
 
 def settled_otherwise(opened: np.ndarray, m: int, n_units: float) -> np.ndarray:
-    """Return the least variance of totals due to a second sample of ``m`` units; ``opened`` is the sum over unknown misses."""
+    """Return the least variance of totals, (k,) float64, due to a second sample of ``m`` units; ``opened``, (k,) float64, are
+    the sums over unknown misses.
+    """
     return (opened / (m + 2)) ** 2 * (1 - m / n_units)
 
 

@@ -76,7 +76,7 @@ class Design:
         return Stage(self._edges, units, self._priority[units])
 
     def split(self, strata: np.ndarray) -> None:
-        """Cut the strata with these numbers in two, and draw the units that the halves lack."""
+        """Cut the strata with these numbers, (k,) int64, in two, and draw the units that the halves lack."""
         middles = [
             _cut(self._cumulated, int(self._edges[h]), int(self._edges[h + 1]), 2)[1]
             for h in strata

@@ -200,7 +200,7 @@ class _Errors(NamedTuple):
 
 
 def correlation_of(covariance: np.ndarray) -> np.ndarray:
-    """Return the correlations; an error without variance correlates with itself only."""
+    """Return the correlations, (k, k) float64; an error without variance correlates with itself only."""
     deviation = np.sqrt(np.diag(covariance))
     is_seen = deviation > 1e-12 * deviation.max(initial=0.0)
     scale = np.where(is_seen, deviation, 1.0)
@@ -210,7 +210,7 @@ def correlation_of(covariance: np.ndarray) -> np.ndarray:
 
 
 def value_of(ratio: Ratio, totals: np.ndarray) -> float:
-    """Return the ratio's value; NaN where it divides by 0."""
+    """Return the ratio's value for the totals, (n_counts + n_misses,) float64; NaN where it divides by 0."""
     return _linearise(ratio, totals)[0]
 
 

@@ -173,7 +173,7 @@ class UnitCounts:
         return in_spans + int(np.count_nonzero(reached[last] <= looked))
 
     def scout(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the scout's places (g,), and per ray the accesses and different lines there (g, 2)."""
+        """Return the scout's places, (g,) int64, and per ray the accesses and different lines there, (g, 2) float64."""
         places, stretches, looked = self._source.scout(seed)
         features = np.zeros((len(stretches), 2))
         for feature, stretch in zip(features, stretches, strict=True):

@@ -21,7 +21,7 @@ from nptrace.options import (
 )
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import done
-from nptrace.scene_options import Picture, Scenes, Trees, ray_options, scene_options, tree_options
+from nptrace.scene_options import PictureOptions, Scenes, Trees, ray_options, scene_options, tree_options
 from nptrace.sources import LAYOUT_HELP
 from nptrace.typed import given, listing
 from nptrace_base.shell import word
@@ -55,12 +55,12 @@ from nptrace_base.shell import word
 @results_options()
 @gathered("scenes", Scenes)
 @gathered("trees", Trees)
-@gathered("picture", Picture)
+@gathered("picture", PictureOptions)
 @gathered("caches", Caches)
 @gathered("sampling", Sampling)
 def estimate(
-    scenes: Scenes, trees: Trees, picture: Picture, caches: Caches, layout: list[str], is_table1: bool, sampling: Sampling,
-    output: Output,
+    scenes: Scenes, trees: Trees, picture: PictureOptions, caches: Caches, layout: list[str], is_table1: bool,
+    sampling: Sampling, output: Output,
 ) -> None:  # fmt: skip
     """Estimate the miss rates of a picture, tracing only as many of its rays as the target error needs.
 

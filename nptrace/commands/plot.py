@@ -118,14 +118,14 @@ def drawn(
     sizes, numbers = _USUAL[kind]
     size = asked["size"] or [each for text in sizes.split(",") for each in _sizes(text)]
     ways = asked["ways"] or [(each,) for each in numbers.split(",")]
-    cases = Cases(size, ways, asked["line"] or [32], asked["prefetch"] or ["traced"], asked["layout"] or ["stored"])
+    cases = Combinations(size, ways, asked["line"] or [32], asked["prefetch"] or ["traced"], asked["layout"] or ["stored"])
     return kind, _draw_runs(chosen_sources(of_runs, Path()), kind, cases, path, threads)
 
 
 _WRITTEN_BY = {"speed-ups": "time or compare", "table1": "table1"}
 
 
-class Cases:
+class Combinations:
     """The caches, policies and layouts that runs go through."""
 
     def __init__(
@@ -190,7 +190,7 @@ def _drawings() -> dict[str, Callable[[Sequence[Any], Path], None]]:
     }  # fmt: skip
 
 
-def _draw_runs(paths: Sequence[Place], kind: str, cases: Cases, path: Path, threads: int | None) -> int:
+def _draw_runs(paths: Sequence[Place], kind: str, cases: Combinations, path: Path, threads: int | None) -> int:
     """Count what a kind of picture shows of runs, and draw it; return the number of rows."""
     from cachesim.source import open_source
 
@@ -210,7 +210,7 @@ def _draw_runs(paths: Sequence[Place], kind: str, cases: Cases, path: Path, thre
 
 
 def _rows_of(
-    kind: str, source: Any, prefetch: str, cases: Cases, threads: int | None, progress: Callable[[int], None]
+    kind: str, source: Any, prefetch: str, cases: Combinations, threads: int | None, progress: Callable[[int], None]
 ) -> Iterator[Any]:  # fmt: skip
     """Yield the rows of one source under one policy."""
     from cachesim.by_group import replay_by

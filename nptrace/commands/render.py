@@ -13,7 +13,7 @@ from nptrace.options import gathered, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, size_text
 from nptrace.scene_options import (
-    Picture,
+    PictureOptions,
     Scenes,
     Trees,
     check_run_names,
@@ -29,7 +29,7 @@ from nptrace_base.places import Place
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
     from rtrace.ray_file import RayFile
-    from rtrace.render import Shooting, Summary
+    from rtrace.render import RunFacts, Shooting
 
 
 @click.command(cls=Command, old={"--size": "--pixels"})
@@ -56,10 +56,10 @@ if TYPE_CHECKING:
 @results_options()
 @gathered("scenes", Scenes)
 @gathered("trees", Trees)
-@gathered("picture", Picture)
+@gathered("picture", PictureOptions)
 # Many parameters: one per option, as click passes them.
 def render(
-    scenes: Scenes, trees: Trees, picture: Picture, ray_file: Path | None, out: Place, run_names: tuple[str, ...],
+    scenes: Scenes, trees: Trees, picture: PictureOptions, ray_file: Path | None, out: Place, run_names: tuple[str, ...],
     overwrite: bool, workers: int, scheduler: str | None, threads: int, output: Output,
 ) -> None:  # fmt: skip
     """Trace pictures of scenes and write one run per scene and tree.
@@ -96,7 +96,7 @@ def render(
     done(what, began, " ".join(filter(None, ["npcache replay", subject, "--size 8K,16K"])))
 
 
-def table_of(runs: "list[Summary]") -> "Table":
+def table_of(runs: "list[RunFacts]") -> "Table":
     """Return the table of the runs."""
     from nptrace_base.tables import Table, number, percent
     from traces.identity import labels

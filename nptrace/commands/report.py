@@ -61,11 +61,11 @@ def report(
     check_page(path)
     check(machines, prefetch, layout)
     runs = [open_run(each) for each in chosen_sources(sources, folder)]
-    n_bytes = write_page(Case(runs, machines.configs, machines.clocks[0], prefetch, layout, threads), path)
+    n_bytes = write_page(PageRuns(runs, machines.configs, machines.clocks[0], prefetch, layout, threads), path)
     done(f"{path}: {len(runs)} run{'s' * (len(runs) != 1)}, {size_text(n_bytes)}", began)
 
 
-def write_page(case: "Case", path: Path) -> int:
+def write_page(case: "PageRuns", path: Path) -> int:
     """Write the page, and return its bytes."""
     from cachesim.report.page import page
 
@@ -93,7 +93,7 @@ def check(machines: Machines, prefetch: str, layout: str) -> None:
 
 
 @dataclass(frozen=True)
-class Case:
+class PageRuns:
     """The runs of a page, and what they go through; the first cache is that of the maps, the levels and the clock."""
 
     runs: Sequence["Run"]
@@ -147,7 +147,7 @@ def _ways(config: "CacheConfig") -> str:
     return "full" if config.n_sets == 1 and config.ways > 1 else str(config.ways)
 
 
-def gathered(case: Case, bar: Progress) -> "Report":
+def gathered(case: PageRuns, bar: Progress) -> "Report":
     """Count all that a page shows, phase by phase."""
     from cachesim.by_group import GroupedRecords
     from cachesim.grid import grid, parse_range
@@ -189,7 +189,7 @@ def gathered(case: Case, bar: Progress) -> "Report":
     )  # fmt: skip
 
 
-def _table1(case: Case, bar: Progress) -> "list[Table1Row]":
+def _table1(case: PageRuns, bar: Progress) -> "list[Table1Row]":
     """Return the rows of Table I for the runs of its scenes; none if no run is of them, or several could be meant."""
     from cachesim.report.table1 import choose_runs
     from nptrace.studies import table1_rows
@@ -202,16 +202,16 @@ def _table1(case: Case, bar: Progress) -> "list[Table1Row]":
     return table1_rows(chosen, bar, layout=case.layout, threads=case.threads) if chosen else []
 
 
-def _by_run(case: Case, bar: Progress) -> "tuple[list[Heat], list[Any]]":
+def _by_run(case: PageRuns, bar: Progress) -> "tuple[list[Heat], list[Any]]":
     """Return the heat maps of all runs, a scale for each kind, and their stack distances."""
-    from cachesim.heat import KINDS, HeatMaps, Setting
+    from cachesim.heat import KINDS, HeatMaps, HeatSetting
     from cachesim.prefetch import parse_prefetch
     from cachesim.report.distances import distances_of
     from cachesim.report.heat_figure import scale_of
     from cachesim.report.page import Heat
     from cachesim.source import RunSource
 
-    setting = Setting(case.configs[0], case.clock, parse_prefetch(case.prefetch))
+    setting = HeatSetting(case.configs[0], case.clock, parse_prefetch(case.prefetch))
     maps: dict[str, list[Any]] = {kind: [] for kind in HEAT}
     distances = []
     for run in case.runs:

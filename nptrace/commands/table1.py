@@ -12,7 +12,7 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import Choice, gathered, seed_option, threads_option, workers_options
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done, say
-from nptrace.scene_options import Picture, Scenes, Trees
+from nptrace.scene_options import PictureOptions, Scenes, Trees
 from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, traces_option
 from nptrace.table1_study.presets import PRESETS, note
 from nptrace.typed import given, listing
@@ -111,7 +111,7 @@ def table1(
             raise BadInput(f"--target-error has the paper's equation; leave out {listing(others)}, or give runs")
         if others := given("workers", "scheduler"):
             raise BadInput(f"--target-error has threads alone; leave out {listing(others)}, or give runs")
-        estimated_table1(Sampling(error, threads=threads), Picture(pixels=pixels, seed=seed), policy, layout, output)
+        estimated_table1(Sampling(error, threads=threads), PictureOptions(pixels=pixels, seed=seed), policy, layout, output)
         return
     if others := given("pixels", "seed"):
         raise BadInput(f"runs have their own pictures; leave out {listing(others)}, or estimate the table with --target-error")
@@ -140,7 +140,7 @@ def table1_of_preset(name: str, equation: "Equation", threads: int, output: Outp
     done(f"{len(rows)} rows", began)
 
 
-def estimated_table1(sampling: Sampling, picture: Picture, policy: str, layout: str, output: Output) -> None:
+def estimated_table1(sampling: Sampling, picture: PictureOptions, policy: str, layout: str, output: Output) -> None:
     """Write Table I estimated for the four scenes and both trees."""
     from cachesim.report import estimate_tables
     from cachesim.report.table1 import SCENES, TREES, caches

@@ -21,7 +21,7 @@ from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 
 if TYPE_CHECKING:
-    from cachesim.heat import HeatMaps, Setting
+    from cachesim.heat import HeatMaps, HeatSetting
     from cachesim.report.heat_figure import Panel, Sheet
     from traces.reader import Run
 
@@ -35,12 +35,12 @@ KINDS = (
 def parse_kind(text: str) -> str:
     """Return a kind of heat map."""
     if (kind := text.strip().lower()) not in KINDS:
-        raise NptraceError(f"{text!r} is no kind of heat map; choose from {', '.join(KINDS)}")
+        raise NptraceError(f"{text!r} is not a kind of heat map; choose from {', '.join(KINDS)}")
     return kind
 
 
 @dataclass(frozen=True)
-class View:
+class ViewOptions:
     """What is shown of runs, by the names of the options; without kinds their pictures."""
 
     kinds: Sequence[str]
@@ -66,7 +66,7 @@ class View:
 
     def draw(self, runs: "Sequence[Run]", path: Path) -> tuple[int, int]:
         """Write the picture, and return its size in dots."""
-        from cachesim.heat import HeatMaps, Setting
+        from cachesim.heat import HeatMaps, HeatSetting
         from cachesim.prefetch import parse_prefetch
         from cachesim.report import heat_figure
         from cachesim.report.pictures import check_plot, ending_of
@@ -76,7 +76,7 @@ class View:
             ending_of(path, [".png"])
             return _enlarge(runs[0], path, self.enlarge)
         check_plot(path)
-        setting = Setting(self.machines.configs[0], self.machines.clocks[0], parse_prefetch(self.prefetch))
+        setting = HeatSetting(self.machines.configs[0], self.machines.clocks[0], parse_prefetch(self.prefetch))
         maps = [HeatMaps(RunSource(run, self.layout), setting, threads=self.threads) for run in runs]
         with Progress(len(runs)) as bar:
             sheet = _sheet(runs, maps, self.kinds or ["picture"], setting, bar, is_difference=self.difference)
@@ -107,8 +107,8 @@ class View:
     binary="a picture",
     help="The picture: .png; heat maps also .svg and .pdf; - is stdout; by default RUN.png or RUN-KIND.png.",
 )
-@gathered("shown", View)
-def view(sources: tuple[Place, ...], shown: View, path: Path | None) -> None:
+@gathered("shown", ViewOptions)
+def view(sources: tuple[Place, ...], shown: ViewOptions, path: Path | None) -> None:
     """Show the pictures of runs, enlarged, or what their pixels cost, as heat maps.
 
     All runs have one scale for each kind, so that colours can be compared. Without -o the picture is RUN.png or RUN-KIND.png
@@ -193,7 +193,7 @@ def _enlarge(run: "Run", path: Path, enlarge: int | None) -> tuple[int, int]:
 
 
 def _sheet(
-    runs: "Sequence[Run]", maps: "Sequence[HeatMaps]", kinds: Sequence[str], setting: "Setting", bar: Progress, *,
+    runs: "Sequence[Run]", maps: "Sequence[HeatMaps]", kinds: Sequence[str], setting: "HeatSetting", bar: Progress, *,
     is_difference: bool,
 ) -> "Sheet":  # fmt: skip
     """Return the panels: a column for each kind, in it one panel for each run."""
@@ -211,7 +211,7 @@ def _sheet(
     return Sheet([_column(kind, titles, values[kind], setting, is_difference=is_difference) for kind in kinds])
 
 
-def _column(kind: str, titles: list[str], values: list, setting: "Setting", *, is_difference: bool) -> "list[Panel]":
+def _column(kind: str, titles: list[str], values: list, setting: "HeatSetting", *, is_difference: bool) -> "list[Panel]":
     """Return the panels of one kind."""
     from cachesim.heat import KINDS, SIGNED
     from cachesim.report.heat_figure import Panel, scale_of
@@ -241,4 +241,4 @@ def picture_of(run: "Run") -> Any:
         with Image.open(io.BytesIO(run.image())) as picture:
             return np.asarray(picture.convert("RGB"))
     except (OSError, SyntaxError) as e:  # Pillow's errors of what is no PNG
-        raise NptraceError(f"{run.path / 'image.png'} is no picture ({e}); render the run again") from e
+        raise NptraceError(f"{run.path / 'image.png'} is not a picture ({e}); render the run again") from e

@@ -15,7 +15,7 @@ from nptrace.progress import Progress, done, say
 from nptrace.table1_study import measure
 from nptrace.table1_study.heights import stack_counts
 from nptrace.table1_study.measure import rows_of
-from nptrace.table1_study.plan import Job, plan
+from nptrace.table1_study.plan import StudyJob, plan
 from nptrace.table1_study.traced import traced
 from nptrace_base.atomic import whole_file
 from nptrace_base.records import write_parquet
@@ -52,7 +52,7 @@ def main(quick: bool, folder: Path, path: Path, threads: int, limit: int | None)
     done(f"{len(table)} rows", began)
 
 
-def _part(folder: Path, job: Job) -> Path:
+def _part(folder: Path, job: StudyJob) -> Path:
     """Return the file of a job's rows: its name tells the job, the scene and the program."""
     view = job.view
     asked: list[Any] = [job.of_run, view.seen.sha256, repr(view.seen.camera), view.seen.light, list(map(asdict, job.settings))]
@@ -60,7 +60,7 @@ def _part(folder: Path, job: Job) -> Path:
     return folder / f"part-{hashlib.sha256(key.encode()).hexdigest()[:16]}.parquet"
 
 
-def _measure(job: Job, path: Path, advance: Callable[[], object]) -> None:
+def _measure(job: StudyJob, path: Path, advance: Callable[[], object]) -> None:
     """Trace a run, replay it and write its rows."""
     run = traced(job.view.seen, job.tree, job.settings[0], threads=1)
     rows = list(rows_of(run, job.settings, job.of_run | stack_counts(run), advance))

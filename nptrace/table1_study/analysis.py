@@ -6,9 +6,10 @@ from itertools import product
 from statistics import median
 from typing import Any, NamedTuple
 
+from cachesim.report.cases import Row
 from cachesim.report.table1 import SCENES, TREES, paper_table
 from nptrace.table1_study.cameras import EDITIONS, own_camera
-from nptrace.table1_study.figures import CACHES, Row, cells, implied, is_inside, is_plausible, octaves, setting_of, span_of
+from nptrace.table1_study.figures import CACHES, cells, implied, is_inside, is_plausible, octaves, setting_of, span_of
 from nptrace.table1_study.fit import LABELS
 from nptrace.table1_study.knobs import KNOBS, SCENE_KNOBS, Setting
 
@@ -21,7 +22,7 @@ CAUSES = {
 }  # fmt: skip
 
 
-class Study:
+class StudyRows:
     """The rows of a study, with their figures, and what differs from the default in each.
 
     Attributes
@@ -83,7 +84,7 @@ class Range(NamedTuple):
     is_inside: bool
 
 
-def ranges(study: Study, names: Sequence[str], *, single: bool = False) -> list[Range]:
+def ranges(study: StudyRows, names: Sequence[str], *, single: bool = False) -> list[Range]:
     """Return the ranges of some figures for all rows of the table; those of single rays alone if ``single``."""
     found = []
     for (tree, scene, cache), name in ((cell, name) for cell in cells() for name in names):
@@ -109,7 +110,7 @@ class Swing(NamedTuple):
         return self.high - self.low
 
 
-def tornado(study: Study, tree: str, scene: str, name: str) -> list[Swing]:
+def tornado(study: StudyRows, tree: str, scene: str, name: str) -> list[Swing]:
     """Return the swings of all knobs, the widest first: of ``miss_a`` in octaves from the default, of others in points."""
     found = []
     for knob in (*KNOBS, *SCENE_KNOBS):
@@ -166,7 +167,7 @@ LESS = 0.5
 CHANCE = 0.05
 
 
-def nearest(study: Study, tree: str, scene: str, name: str, label: str) -> Nearest:
+def nearest(study: StudyRows, tree: str, scene: str, name: str, label: str) -> Nearest:
     """Return the value of one knob that brings a figure of a scene nearest to the paper's values of scene ``label``."""
     paper = {cache: paper_table()[tree, label, *cache][name] for cache in CACHES}
     found: dict[tuple[str, str], dict[tuple[int, int], float]] = {}
@@ -221,7 +222,7 @@ class Causes(NamedTuple):
         return CAUSES[of.knob] if is_named else "not identified"
 
 
-def causes(study: Study, name: str) -> Causes:
+def causes(study: StudyRows, name: str) -> Causes:
     """Return what one knob explains of a figure."""
     return Causes(
         {
@@ -257,7 +258,7 @@ class Possible(NamedTuple):
 CLOSE, SIZED = 0.05, 0.25
 
 
-def possible(study: Study, *, single: bool = False) -> Possible:
+def possible(study: StudyRows, *, single: bool = False) -> Possible:
     """Return how many rows of the table are possible, and by single rays alone."""
     found = ranges(study, ["miss_a", "miss_ratio"], single=single)
     inside = Counter(each.name for each in found if each.is_inside)

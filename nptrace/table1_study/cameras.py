@@ -65,7 +65,7 @@ EDITIONS = {
 }
 
 
-class View(NamedTuple):
+class PublishedView(NamedTuple):
     """A scene seen by a camera: the first view of an edition is the program's own."""
 
     scene: str
@@ -79,7 +79,7 @@ def own_camera(scene: str) -> str:
     return _VIEWS[scene].split()[0]
 
 
-def views(scene: str, *, only_own: bool = False) -> list[View]:
+def views(scene: str, *, only_own: bool = False) -> list[PublishedView]:
     """Return every published view of every edition that is on this machine; of a stand-in its own view alone."""
     found = []
     for version in EDITIONS[scene]:
@@ -87,7 +87,7 @@ def views(scene: str, *, only_own: bool = False) -> list[View]:
         if loaded is None or (loaded.stand_in and version != EDITIONS[scene][0]):
             continue
         if loaded.stand_in or only_own:
-            found.append(View(scene, version, "own", loaded))
+            found.append(PublishedView(scene, version, "own", loaded))
             if only_own:
                 break
             continue
@@ -96,7 +96,7 @@ def views(scene: str, *, only_own: bool = False) -> list[View]:
             eye, direction, *up = (_point(version, text, is_direction=i > 0) for i, text in enumerate(points))
             top = up[0] if up else _point(version, "0,1,0", is_direction=True)
             camera = Camera(eye, tuple(np.add(eye, direction)), top, _FOV[name[0]])
-            found.append(View(scene, version, name, seen_from(loaded, camera, loaded.light)))
+            found.append(PublishedView(scene, version, name, seen_from(loaded, camera, loaded.light)))
     return found
 
 

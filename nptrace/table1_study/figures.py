@@ -1,17 +1,17 @@
 """Rows of counts -> the figures of Table I, the paper's and the honest ones, and what the paper's own numbers imply."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from cachesim.report.cases import Row
 from cachesim.report.table1 import PAPER_N, SCENES, TREES, acpr, paper_table
 from cachesim.result import ratio
 from nptrace.table1_study.knobs import KNOBS, Setting
 
-Row = Mapping[str, Any]
 #: The caches of the table: bytes and ways.
 CACHES = ((8192, 1), (8192, 2), (16384, 1), (16384, 2))
 LINE_BYTES = 32

@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cachesim.report.cases import Row
 from cachesim.report.table1 import SCENES, TREES, paper_table
-from nptrace.table1_study.figures import CACHES, Row, octaves
+from nptrace.table1_study.figures import CACHES, octaves
 
 #: Knobs that are the rays' and the unit's, and so the same for both trees.
 SHARED = ("pixels", "order", "batch", "packet", "shadow", "shadow_order", "shadow_end", "light", "prefetch", "flush", "policy")
@@ -26,8 +27,8 @@ WEIGHT = 4.0
 #: Every way to give each scene the paper's values of a scene; the first gives each its own.
 LABELS = tuple(dict(zip(SCENES, order, strict=True)) for order in permutations(SCENES))
 
-Cache = tuple[int, int]
-View = tuple[str, str]  # edition, camera
+CacheSize = tuple[int, int]
+SceneView = tuple[str, str]  # edition, camera
 Floats = NDArray[np.float64]
 
 
@@ -36,7 +37,7 @@ class Residual(NamedTuple):
 
     tree: str
     scene: str
-    cache: Cache
+    cache: CacheSize
     ratio: float  # B/A, ours - the paper's, points
     miss: float  # miss rate A, octaves
 
@@ -61,12 +62,12 @@ class Model(NamedTuple):
     number: int
     shared: dict[str, Any]
     own: dict[str, dict[str, Any]]
-    views: dict[str, View]
+    views: dict[str, SceneView]
     residuals: list[Residual]
     loss: float
 
 
-class Summary(NamedTuple):
+class RowDistances(NamedTuple):
     """Distances of some rows: of B/A in points, of the miss rate A as a factor."""
 
     median: float
@@ -74,10 +75,10 @@ class Summary(NamedTuple):
     factor: float
 
 
-def summary(residuals: Sequence[Residual]) -> Summary:
+def summary(residuals: Sequence[Residual]) -> RowDistances:
     """Return the median and the largest distance of B/A, and the median factor of the miss rate A."""
     points = [abs(each.ratio) for each in residuals]
-    return Summary(median(points), max(points), 2 ** median(abs(each.miss) for each in residuals))
+    return RowDistances(median(points), max(points), 2 ** median(abs(each.miss) for each in residuals))
 
 
 #: How near a preset has to come: points of B/A in the median row, and in the worst.
@@ -96,7 +97,7 @@ def beyond_target(points: Floats) -> Floats:
     return found
 
 
-def is_within_target(found: Summary) -> bool:
+def is_within_target(found: RowDistances) -> bool:
     """Return whether some rows are as near as a preset has to come."""
     return found.median <= TARGET[0] and found.worst <= TARGET[1]
 
@@ -115,8 +116,8 @@ class Fits:
     def __init__(self, rows: Iterable[Row], own: Sequence[str]) -> None:
         self._own = tuple(own)
         #: place of a tree's run and replay by shared knobs, tree, the tree's own, scene and view
-        places: dict[tuple[Any, ...], dict[str, dict[tuple[Any, ...], dict[tuple[str, View], int]]]] = {}
-        figures: list[dict[Cache, tuple[float, float]]] = []
+        places: dict[tuple[Any, ...], dict[str, dict[tuple[Any, ...], dict[tuple[str, SceneView], int]]]] = {}
+        figures: list[dict[CacheSize, tuple[float, float]]] = []
         for row in rows:
             shared, mine = (tuple(row[name] for name in names) for names in (SHARED, self._own))
             of = places.setdefault(shared, {}).setdefault(row["tree"], {}).setdefault(mine, {})
@@ -127,7 +128,7 @@ class Fits:
         self._figures = np.array([[each[cache] for cache in CACHES] for each in figures])  # place, cache, B/A and A
         self._models: list[tuple[tuple[Any, ...], tuple[tuple[Any, ...], ...]]] = []
         candidates: dict[str, list[tuple[int, ...]]] = {scene: [] for scene in SCENES}
-        self._views: dict[str, list[View]] = {scene: [] for scene in SCENES}
+        self._views: dict[str, list[SceneView]] = {scene: [] for scene in SCENES}
         for shared, by_tree in places.items():
             for mine in product(*(by_tree.get(tree, {}) for tree in TREES)):
                 first, *others = (by_tree[tree][of_tree] for tree, of_tree in zip(TREES, mine, strict=True))
@@ -161,8 +162,8 @@ class Fits:
         return [self._model(int(number), total, chosen, labels) for number in np.flatnonzero(total <= most)]
 
     def _search(
-        self, labels: dict[str, str], caches: Sequence[Cache] = CACHES, scenes: Sequence[str] = SCENES, weight: float = WEIGHT,
-        loss: Callable[[Floats], Floats] = mean_loss,
+        self, labels: dict[str, str], caches: Sequence[CacheSize] = CACHES, scenes: Sequence[str] = SCENES,
+        weight: float = WEIGHT, loss: Callable[[Floats], Floats] = mean_loss,
     ) -> tuple[Floats, dict[str, NDArray[np.int64]]]:  # fmt: skip
         """Return the loss of every model, infinite if a scene was not measured, and its candidate for each scene."""
         chosen, losses = {}, []
@@ -206,7 +207,7 @@ class Fits:
                 found.append(Residual(tree, scene, cache, ratio - paper["miss_ratio"], octaves(paper["miss_a"], miss)))
         return found
 
-    def under_every_view(self, model: Model, scene: str, labels: dict[str, str] = LABELS[0]) -> list[Summary]:
+    def under_every_view(self, model: Model, scene: str, labels: dict[str, str] = LABELS[0]) -> list[RowDistances]:
         """Return what a model leaves of a scene's rows, for each of its views."""
         of_model = np.flatnonzero(self._candidates[scene][:, 0] == model.number)
         return [summary(self._residuals(scene, int(each), labels[scene])) for each in of_model]
@@ -216,7 +217,7 @@ class Fits:
 HALVES = (CACHES[0], CACHES[3]), (CACHES[1], CACHES[2])
 
 
-def held_out_by_cache(fits: Fits, **options: Any) -> list[tuple[Model, Summary, Summary]]:
+def held_out_by_cache(fits: Fits, **options: Any) -> list[tuple[Model, RowDistances, RowDistances]]:
     """Return, for each half of the rows, the model found on it, what it leaves there, and what it leaves of the other half."""
     found = []
     for half in HALVES:
@@ -229,7 +230,7 @@ def held_out_by_cache(fits: Fits, **options: Any) -> list[tuple[Model, Summary, 
     return found
 
 
-def held_out_by_scene(fits: Fits, labels: dict[str, str] = LABELS[0], **options: Any) -> dict[str, list[Summary]]:
+def held_out_by_scene(fits: Fits, labels: dict[str, str] = LABELS[0], **options: Any) -> dict[str, list[RowDistances]]:
     """Return, for each scene, what the model found on the other scenes leaves of it, under each of its views."""
     found = {}
     for left_out in SCENES:
@@ -247,7 +248,7 @@ class Placebo(NamedTuple):
     ----------
     labels : dict
         The scene whose values each scene has.
-    found : Summary
+    found : RowDistances
         What the nearest model leaves.
     loss : float
         Its loss.
@@ -256,7 +257,7 @@ class Placebo(NamedTuple):
     """
 
     labels: dict[str, str]
-    found: Summary
+    found: RowDistances
     loss: float
     held: int
 

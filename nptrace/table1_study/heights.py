@@ -13,6 +13,11 @@ from traces.format import PRIMARY, SHADOW
 #: Entries that the paper says a stack has at most, usually.
 FEW = 3
 
+#: What is counted for each type of ray: leaves with triangles, those of them with at most ``FEW`` entries on the stack, the
+#: sum of entries there; rays ended, and those of them with entries left.
+COUNTED = ("leaves", "leaves_few", "leaf_entries", "ended", "ended_with_entries")
+LEAVES, LEAVES_FEW, LEAF_ENTRIES, ENDED, ENDED_WITH_ENTRIES = range(len(COUNTED))
+
 
 class Heights(NamedTuple):
     """A unit that counts.
@@ -23,8 +28,7 @@ class Heights(NamedTuple):
         Of the rays that read nodes.
     ray : (1,) int64
     counts : (2, 5) int64
-        By type of ray: leaves with triangles, those of them with at most ``FEW`` entries on the stack, the sum of entries
-        there; rays ended, and those of them with entries left.
+        By type of ray, in the order of ``COUNTED``.
     """
 
     types: np.ndarray
@@ -40,15 +44,15 @@ class Heights(NamedTuple):
         if machine.tree.n_prims[node] == 0:
             return
         of, height = self.counts[self.types[self.ray[0]]], machine.sp[slot]
-        of[0] += 1
-        of[1] += np.int64(height <= FEW)
-        of[2] += height
+        of[LEAVES] += 1
+        of[LEAVES_FEW] += np.int64(height <= FEW)
+        of[LEAF_ENTRIES] += height
 
     def on_end(self, machine, slot):
         """Count the end of a ray."""
         of = self.counts[self.types[self.ray[0]]]
-        of[3] += 1
-        of[4] += np.int64(machine.sp[slot] > 0)
+        of[ENDED] += 1
+        of[ENDED_WITH_ENTRIES] += np.int64(machine.sp[slot] > 0)
 
 
 def stack_counts(run: TracedRun) -> dict[str, int]:
@@ -56,7 +60,7 @@ def stack_counts(run: TracedRun) -> dict[str, int]:
     made: list[tuple[Machine, Heights]] = []
 
     def make_unit(machine: Machine, facts: Facts, types: np.ndarray) -> Heights:
-        made.append((machine, Heights(types, np.full(1, -1, np.int64), np.zeros((2, 5), np.int64))))
+        made.append((machine, Heights(types, np.full(1, -1, np.int64), np.zeros((2, len(COUNTED)), np.int64))))
         return made[0][1]
 
     types = run.types[run.has_rows]
@@ -68,11 +72,10 @@ def stack_counts(run: TracedRun) -> dict[str, int]:
     [(machine, unit)] = made
     if types.size:
         of = unit.counts[types[-1]]  # of the last ray, which no other ends
-        of[3] += 1
-        of[4] += int(machine.sp[0] > 0)
-    names = ("leaves", "leaves_few", "leaf_entries", "ended", "ended_with_entries")
+        of[ENDED] += 1
+        of[ENDED_WITH_ENTRIES] += int(machine.sp[0] > 0)
     return {
         f"{which}_{name}": int(unit.counts[type_, i])
         for type_, which in ((PRIMARY, "primary"), (SHADOW, "shadow"))
-        for i, name in enumerate(names)
+        for i, name in enumerate(COUNTED)
     }

@@ -41,7 +41,7 @@ def measured(run: TracedRun, settings: Iterable[Setting]) -> Iterator[tuple[Sett
 
 
 def lines_touched(run: TracedRun, lines: tuple[np.ndarray, np.ndarray]) -> int:
-    """Return how many lines the visits touch: no cache fetches fewer."""
+    """Return how many lines the visits touch: no cache fetches fewer; ``lines``: of each node the lowest, and how many."""
     first, n_lines = lines
     visited = np.zeros(run.n_nodes, bool)
     visited[run.rows[0]] = True

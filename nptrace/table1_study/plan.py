@@ -6,14 +6,14 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from cachesim.report.table1 import SCENES, TREES
-from nptrace.table1_study.cameras import View, views
+from nptrace.table1_study.cameras import PublishedView, views
 from nptrace.table1_study.knobs import BVH, KD, KNOBS, RENDERED, REPLAYED, Setting
 
 
-class Job(NamedTuple):
+class StudyJob(NamedTuple):
     """One run, and the settings under which it is replayed; their rendered knobs are the same."""
 
-    view: View
+    view: PublishedView
     tree: str
     settings: tuple[Setting, ...]
 
@@ -85,10 +85,10 @@ QUICK_SCENES = ("bunny", "sponza")
 _QUICK = ("batch", "builder", "layout", "reads", "prefetch", "flush")
 
 
-def plan(*, quick: bool = False) -> list[Job]:
+def plan(*, quick: bool = False) -> list[StudyJob]:
     """Return the jobs, the most important first."""
     base = Setting(pixels=32) if quick else Setting()
-    jobs: list[Job] = []
+    jobs: list[StudyJob] = []
     for scene in QUICK_SCENES if quick else SCENES:
         own = views(scene, only_own=quick)[0]
         for tree in TREES:
@@ -125,22 +125,22 @@ def combined(base: Setting, tree: str, *, is_own: bool) -> Iterator[Setting]:
             yield replace(base, **given)
 
 
-def _jobs(view: View, tree: str, settings: Iterable[Setting]) -> list[Job]:
+def _jobs(view: PublishedView, tree: str, settings: Iterable[Setting]) -> list[StudyJob]:
     """Return a job for each run that the settings need."""
     runs: dict[tuple[Any, ...], dict[Setting, None]] = {}
     for setting in settings:
         runs.setdefault(tuple(getattr(setting, name) for name in RENDERED), {})[setting] = None
-    return [Job(view, tree, tuple(group)) for group in runs.values()]
+    return [StudyJob(view, tree, tuple(group)) for group in runs.values()]
 
 
-def _merged(jobs: Iterable[Job]) -> list[Job]:
+def _merged(jobs: Iterable[StudyJob]) -> list[StudyJob]:
     """Return the jobs with those of the same run joined, each setting once."""
-    found: dict[tuple[Any, ...], Job] = {}
+    found: dict[tuple[Any, ...], StudyJob] = {}
     for job in jobs:
         key = (job.view.version, job.view.camera, job.tree, *(getattr(job.settings[0], name) for name in RENDERED))
         have = found.get(key)
         settings = dict.fromkeys((*(have.settings if have else ()), *job.settings))
-        found[key] = Job(job.view, job.tree, tuple(settings))
+        found[key] = StudyJob(job.view, job.tree, tuple(settings))
     return list(found.values())
 
 

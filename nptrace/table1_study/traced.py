@@ -56,7 +56,7 @@ class TracedRun:
         return self.footer.n_accesses
 
     def columns(self, table: str, names: Sequence[str]) -> dict[str, np.ndarray]:
-        """Return columns of the nodes."""
+        """Return columns of the nodes, (n_nodes,) arrays of the types in ``nodes.parquet``."""
         return {name: self._nodes[name] for name in names}
 
     def batches(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:

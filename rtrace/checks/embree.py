@@ -55,7 +55,7 @@ def random_rays(scene: Scene, n: int, seed: int) -> Rays:
 
 
 def kappa(triangles: np.ndarray, rays: Rays, prim: np.ndarray) -> np.ndarray:
-    """Return the rounding unit of each hit: 2^-23 max|v - o| |e1| |e2| |d| / |n . d|, in units of t."""
+    """Return the rounding unit of each hit, (n,) float64: 2^-23 max|v - o| |e1| |e2| |d| / |n . d|, in units of t."""
     v = triangles[prim].astype(np.float64)
     d = rays.direction.astype(np.float64)
     e1, e2 = v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]

@@ -13,7 +13,7 @@ import numpy as np
 from rtrace.checks.embree import kappa
 from rtrace.rays import Rays
 
-#: Largest error of t where float64 rounds, in ``units`` (docs/correctness.md).
+#: Largest error of t where float64 rounds, in ``rounding_of_t`` (docs/correctness.md).
 T_BOUND = 16.0
 #: By how much rounding may move a triangle sideways, as a share of its greatest distance from the ray's origin along an
 #: axis: 4 units of 2^-53 for its vertices, sheared; the rest is margin.
@@ -47,9 +47,6 @@ class ExactHits(NamedTuple):
     touched: dict[int, tuple[float, float]]
 
 
-Range = tuple[float, float]
-
-
 class Answer(NamedTuple):
     """What n rays must find.
 
@@ -65,8 +62,8 @@ class Answer(NamedTuple):
 
     is_hit: np.ndarray
     is_ambiguous: np.ndarray
-    nearest: list[dict[int, Range]] | None = None
-    met: list[dict[int, Range]] | None = None
+    nearest: list[dict[int, tuple[float, float]]] | None = None
+    met: list[dict[int, tuple[float, float]]] | None = None
 
 
 def whole_numbers(values: np.ndarray) -> tuple[np.ndarray, int]:
@@ -157,8 +154,8 @@ def _is_firm(corners: np.ndarray, weights: np.ndarray, is_firm: np.ndarray) -> b
     return bool(starts) and starts == ends and bool(is_firm.all())
 
 
-def units(triangles: np.ndarray, rays: Rays, prim: np.ndarray) -> np.ndarray:
-    """Return the unit of t's error for each hit, 2^-52 max|v - o| |e1| |e2| |d| / |n . d|: ``embree.kappa`` for float64."""
+def rounding_of_t(triangles: np.ndarray, rays: Rays, prim: np.ndarray) -> np.ndarray:
+    """Return the rounding unit of t for each hit, (n,) float64: ``kappa`` for float64, with 2^-52 for 2^-23."""
     return kappa(triangles, rays, prim) * 2.0**-29
 
 
@@ -210,7 +207,7 @@ def _slacks(triangles: np.ndarray, rays: Rays, every_found: list[ExactHits]) -> 
     """Return the error that t may have at each hit, ray after ray."""
     prim = np.array([p for found in every_found for p in found.t], int)
     ray = np.repeat(np.arange(len(every_found)), [len(found.t) for found in every_found])
-    return (T_BOUND * units(triangles, Rays(*(a[ray] for a in rays)), prim)).tolist()
+    return (T_BOUND * rounding_of_t(triangles, Rays(*(a[ray] for a in rays)), prim)).tolist()
 
 
 def _lowest_equal(triangles: np.ndarray) -> np.ndarray:

@@ -12,8 +12,8 @@ import numpy as np
 
 from nptrace_base.pools import thread_pool
 from rtrace.checks.cases import degenerate, edges, lattices, limits, shadows, strays
-from rtrace.checks.cases.case import Case, Point
-from rtrace.checks.exact_answers import units
+from rtrace.checks.cases.case import Case
+from rtrace.checks.exact_answers import rounding_of_t
 from rtrace.rays import Hits, Rays
 from rtrace.shading import shadow_rays
 from rtrace.traverse import trace, trace_all
@@ -21,6 +21,7 @@ from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree
 from rtrace.trees.tree import BVH_NODE, Tree
 from rtrace.trees.tree_cache import build_tree
+from traces.frame import Point
 
 #: Brute force is run for up to so many pairs of ray and triangle.
 _BRUTE_PAIRS = 3 * 10**7
@@ -29,7 +30,7 @@ Tracer = Callable[[Rays, bool], Hits]
 Structures = Mapping[str, Callable[[np.ndarray], Tracer]]
 
 
-class Row(NamedTuple):
+class CaseRow(NamedTuple):
     """One case through one structure, closest-hit and any-hit rays together.
 
     ``wrong`` counts hits of another triangle than the nearest, of a higher number than its equal, or outside t_min to
@@ -83,13 +84,13 @@ def cases(long: bool = False) -> Iterator[Case]:
         yield make(long)._replace(name=name)
 
 
-def run_all(long: bool = False, threads: int = 1) -> Iterator[Row]:
+def run_all(long: bool = False, threads: int = 1) -> Iterator[CaseRow]:
     """Run every case through every structure."""
     for case in cases(long):
         yield from run_case(case, threads=threads)
 
 
-def run_case(case: Case, structures: Structures = STRUCTURES, *, threads: int = 1) -> list[Row]:
+def run_case(case: Case, structures: Structures = STRUCTURES, *, threads: int = 1) -> list[CaseRow]:
     """Run one case, its structures in ``threads``; brute force only where it is affordable."""
     case = case._replace(rays=Rays(*map(np.array, case.rays)))  # writable: Numba compiles anew for read-only arrays
     judge = _judge_hits if case.light is None else partial(_judge_shadows, light=case.light)
@@ -103,7 +104,7 @@ def run_case(case: Case, structures: Structures = STRUCTURES, *, threads: int = 
         first = first or found
         unlike = np.any([a != b for a, b in zip(found, first, strict=True)], axis=0)
         ambiguous = int(case.answer.is_ambiguous.sum())
-        rows.append(Row(case.name, structure, len(unlike), *counts, case.bound, int(unlike.sum()), ambiguous))
+        rows.append(CaseRow(case.name, structure, len(unlike), *counts, case.bound, int(unlike.sum()), ambiguous))
     return rows
 
 
@@ -124,8 +125,8 @@ def _judge_hits(case: Case, tracer: Tracer) -> tuple[tuple[int, int, int, float]
         wrong += int((got & (answer.is_hit | answer.is_ambiguous)).sum()) - len(chosen)
         low, high = np.array([right[i][hits.prim[i]] for i in chosen]).reshape(-1, 2).T
         off = np.maximum(low - hits.t[chosen], hits.t[chosen] - high).clip(0.0)
-        unit = units(case.triangles, Rays(*(a[chosen] for a in rays)), hits.prim[chosen])
-        worst = max(worst, float((off[off > 0] / unit[off > 0]).max(initial=0.0)))
+        rounding = rounding_of_t(case.triangles, Rays(*(a[chosen] for a in rays)), hits.prim[chosen])
+        worst = max(worst, float((off[off > 0] / rounding[off > 0]).max(initial=0.0)))
     return (lost, invented, wrong, worst), [closest.prim, closest.t, first_met.prim >= 0]
 
 

@@ -344,7 +344,7 @@ def _download(entry: Entry, folder: Path, notify: Notify, base_url: str | None) 
 
 
 def _present(entry: Entry, scene: Scene, where: str, notify: Notify) -> Scene:
-    """Return the scene under its name, seen with the catalogue's camera; a note warns of another mesh than the known one."""
+    """Return the scene under its name, seen with the catalogue's camera; a note warns if its mesh is not that."""
     notes = scene.notes
     if scene.sha256 != entry.sha256:
         notes += (

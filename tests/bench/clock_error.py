@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cachesim.clock.parameters import PRESETS, Clock
-from cachesim.clock.parts import PIECES, Counted, Figures, count, figures, picked, read_stream, reads_of
+from cachesim.clock.sampled_rays import PIECES, Counted, Figures, count, figures, picked, read_cut_rows, reads_of
 from cachesim.clock.timing import Job, Workshop
 from cachesim.config import CacheConfig
 from cachesim.prefetch import Prefetch, parse_prefetch
@@ -72,7 +72,7 @@ def parts_of(method: str, parts: int) -> list[list[int]]:
 def measure(run: Run, cells: Sequence[Cell], threads: int, methods: Sequence[tuple[str, int]]) -> Iterator[dict[str, Any]]:
     """Yield the rows of one run."""
     source = RunSource(run)
-    stream, workshop = read_stream(source), Workshop(source, 1)
+    stream, workshop = read_cut_rows(source), Workshop(source, 1)
     prefetches = [parse_prefetch(name) for name in PREFETCHES]
     jobs = list(product(cells, prefetches))
     with thread_pool(threads) as pool:

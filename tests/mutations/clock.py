@@ -91,10 +91,10 @@ MUTATIONS = [
     Mutation("ring: the slot that waits shortest goes first", policy("machine"), "    first = machine.waiting[0, ring]\n", "    first = machine.waiting[1, ring]\n", STACK),
     Mutation("ring: lines asked of a node given up count for the next", policy("machine"), "    machine.lines_asked[slot] = 0\n", "", PUSH),
     # Part of a run
-    Mutation("parts: the warm-up is counted", "cachesim/clock/parts.py", "            at += int(cuts[piece] - cuts[piece - 1])\n", "", "tests/cachesim/clock/test_parts.py"),
-    Mutation("parts: every piece is warmed up by itself", "cachesim/clock/parts.py", "stretches.append((int(cuts[piece - 1]), int(cuts[piece])))", "stretches.append((int(cuts[piece]), int(cuts[piece + 1])))", "tests/cachesim/clock/test_parts.py"),
-    Mutation("parts: rays that differ without and with prefetches do not cancel", "cachesim/clock/parts.py", "(residuals, slow_residuals - residuals)", "(residuals, slow_residuals)", "tests/cachesim/clock/test_parts.py"),
-    Mutation("parts: a map of part of the rays is taken for one of all", "nptrace/break_even.py", "leaf, asdict(grid), parts,", "leaf, asdict(grid),", "tests/nptrace/test_clock_commands.py -k part_of"),
+    Mutation("parts: the warm-up is counted", "cachesim/clock/sampled_rays.py", "            at += int(cuts[piece] - cuts[piece - 1])\n", "", "tests/cachesim/clock/test_sampled_rays.py"),
+    Mutation("parts: every piece is warmed up by itself", "cachesim/clock/sampled_rays.py", "stretches.append((int(cuts[piece - 1]), int(cuts[piece])))", "stretches.append((int(cuts[piece]), int(cuts[piece + 1])))", "tests/cachesim/clock/test_sampled_rays.py"),
+    Mutation("parts: rays that differ without and with prefetches do not cancel", "cachesim/clock/sampled_rays.py", "(residuals, slow_residuals - residuals)", "(residuals, slow_residuals)", "tests/cachesim/clock/test_sampled_rays.py"),
+    Mutation("parts: a map of part of the rays is taken for one of all", "nptrace/break_even.py", "leaf, asdict(grid), one_in,", "leaf, asdict(grid),", "tests/nptrace/test_clock_commands.py -k part_of"),
     # Without a clock, and policies of others
     Mutation("replay: a policy that needs the clock is replayed", "cachesim/prefetch.py", "if prefetch.policy.needs_clock:", "if prefetch.policy.needs_clock and prefetch.kind != \"treelet\":", NEEDS),
     Mutation("replay: a scout that is left out", "cachesim/prefetch.py", "unit = scout(self._machine, self._facts, **prefetch.options) if scout else None", "unit = None", UNTIMED),

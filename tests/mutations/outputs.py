@@ -110,8 +110,8 @@ MUTATIONS = [
              "        if error is None:\n            raise", "        if True:\n            raise", "tests/nptrace/test_interrupts.py -k swallowed"),
     Mutation("interrupts: threads are waited for", "nptrace_base/pools.py",
              "wait=isinstance(e, Exception)", "wait=True", "tests/nptrace/test_interrupts.py::test_who_is_interrupted_does_not_wait_for_threads"),
-    Mutation("progress: --quiet says as much as ever", "nptrace/progress.py", "if level < USUAL:", "if False:", "tests/nptrace/test_nptrace.py -k reports_them"),
-    Mutation("progress: what carries no news is always said", "nptrace/progress.py", "if level >= VERBOSE:", "if True:", "tests/nptrace/test_nptrace.py -k reports_them"),
+    Mutation("progress: --quiet says as much as ever", "nptrace/progress.py", "if verbosity < USUAL:", "if False:", "tests/nptrace/test_nptrace.py -k reports_them"),
+    Mutation("progress: what carries no news is always said", "nptrace/progress.py", "if verbosity >= VERBOSE:", "if True:", "tests/nptrace/test_nptrace.py -k reports_them"),
     Mutation("progress: no phase is told", "nptrace/progress.py", '(f": {what}" if what else "")', '""', "tests/nptrace/test_terminal.py -k real"),
     # What a new user meets
     Mutation("info: a bad run ends the list", "nptrace/commands/info.py", "            records.append(record_of(open_run(path)))\n        except NptraceError as e:\n            faults.append(e)\n", "            records.append(record_of(open_run(path)))\n        except NptraceError as e:\n            faults.append(e)\n            break\n", "tests/nptrace/test_bad_run.py -k info"),

@@ -40,7 +40,7 @@ MUTATIONS = [
     Mutation("room: holds any number of events", "rtrace/traverse.py", "room.events.size >= room.most", "room.events.size >= 1000 * room.most", MEMORY),
     Mutation("room: a long ray alone is refused too", "rtrace/traverse.py", "if n_together > 1 and room.most is not None", "if room.most is not None", MEMORY),
     Mutation("chunks: halves of a batch keep their shadow rays", "rtrace/chunk.py", "return [(start, stop, PRIMARY), (start, stop, SHADOW)]", "return [(start, start + 1, None), (start + 1, stop, None)]", MEMORY),
-    Mutation("chunks: pieces of a chunk in the wrong order", "rtrace/render.py", "reversed(smaller_pieces(piece[0], piece[1], batch, piece[2]))", "smaller_pieces(piece[0], piece[1], batch, piece[2])", MEMORY),
+    Mutation("chunks: pieces of a chunk in the wrong order", "rtrace/render.py", "reversed(smaller_pieces(start, stop, batch, which))", "smaller_pieces(start, stop, batch, which)", MEMORY),
     Mutation("chunks: the limit is not handed on", "rtrace/render.py", "batch, which, MOST_EVENTS", "batch, which, None", MEMORY),
     Mutation("chunks: pixels counted in both passes", "rtrace/render.py", "if chunk.is_shaded:", "if True:", MEMORY),
     Mutation("camera: an eye of any size", "rtrace/camera.py", "if max(map(abs, self.eye)) > FARTHEST:", "if False:", CAMERA),

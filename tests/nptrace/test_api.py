@@ -40,7 +40,6 @@ CALLED = {
     "kinds": "heat",
     "path": "output",
     "assoc": "ways",
-    "parts": "part",
 }
 
 
@@ -196,7 +195,7 @@ def test_a_cache_is_written_as_a_paper_writes_it():
     [
         (lambda: nt.render(), "no scene is given"),
         (lambda: nt.render("nosuch"), "is neither a file nor a known scene"),
-        (lambda: nt.render("blob", accel="tree"), "accel: 'tree' is no tree"),
+        (lambda: nt.render("blob", accel="tree"), "accel: 'tree' is not a tree"),
         (lambda: nt.render("blob", order="spiral"), "order: 'spiral' is not one of"),
         (lambda: nt.render("blob", bvh="fast"), "'fast' is neither"),
         (lambda: nt.render("blob", bvh_nodes=48), "bvh_nodes: '48'"),

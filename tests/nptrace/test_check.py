@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 import cli
 from rtrace.checks import embree, hard_cases
-from rtrace.checks.hard_cases import Row
+from rtrace.checks.hard_cases import CaseRow
 from rtrace.scenes.shapes import icosphere
 from tests.nptrace.test_nptrace import write_obj
 
@@ -125,7 +125,7 @@ def test_embree_is_asked_to_be_robust(ball, monkeypatch):
 
 def test_hard_cases_decide_the_exit_status(monkeypatch):
     """Rows that are known; one of them for each way to be bad."""
-    good = Row("case", "kdtree", 1234, 0, 0, 0, 1.5, 16.0, 0, 7)
+    good = CaseRow("case", "kdtree", 1234, 0, 0, 0, 1.5, 16.0, 0, 7)
     monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads: [good])
     assert "1 comparisons, 0 beyond their limit." in call("check", "--hard").stdout
     for bad in ({"lost": 2}, {"invented": 3}, {"wrong": 4}, {"unlike": 5}, {"t_error": 16.5}):

@@ -170,12 +170,12 @@ def test_a_map_goes_on_where_it_stopped(folder, monkeypatch):
     parts[1].write_bytes(b"PAR1")
     said = run(cli.nptrace, *MAP, code=2).stderr.splitlines()[-1]
     part = parts[1].relative_to(folder)
-    assert said == f"Error: {part} is no part of a map: it cannot be read; delete it, and its run is timed again"
+    assert said == f"Error: {part} cannot be read as a part of a map; delete it, and its run is timed again"
 
 
 def test_a_map_of_another_program_is_timed_again(folder, monkeypatch):
     """A map resumed after an upgrade returned the figures of the old program."""
-    assert {path.name for path in nptrace.break_even._CODE} == {"break_even.py", "timing.py", "parts.py"}
+    assert {path.name for path in nptrace.break_even._CODE} == {"break_even.py", "timing.py", "sampled_rays.py"}
     rows_of(cli.nptrace, *MAP)
     [first, *_] = (folder / "traces" / "map").glob("*/accesses.parquet")
     assert open_run(str(first.parent)).footer.tool_version == nptrace.__version__
@@ -187,7 +187,7 @@ def test_a_map_of_another_program_is_timed_again(folder, monkeypatch):
 def test_a_map_from_part_of_the_rays(folder):
     """Its rows are those of the map, with intervals that hold most of its speed-ups, and without what a part does not tell."""
     larger = [*MAP[:3], "--pixels", "160x160", "--threads", "1"]
-    rows, parts = rows_of(cli.nptrace, *larger), rows_of(cli.nptrace, *larger, "--part", "4")
+    rows, parts = rows_of(cli.nptrace, *larger), rows_of(cli.nptrace, *larger, "--one-in", "4")
     known = [name for name in rows[0] if parts[0][name] is not None]
     assert [name for name in rows[0] if name not in known] == [
         "cycles", "cycles_without", "demand_reads", "requests", "filled", "bytes_from_memory", "traffic_ratio", "accuracy",
@@ -195,12 +195,12 @@ def test_a_map_from_part_of_the_rays(folder):
     ]  # fmt: skip
     held = 0
     for row, part in zip(rows, parts, strict=True):
-        assert (row["parts"], row["speed_up_half_width"], part["parts"]) == (1, None, 4)
-        for name in set(known) - {"parts", "speed_up", "speed_up_half_width", "cycles_per_ray_without"}:
+        assert (row["one_in"], row["speed_up_half_width"], part["one_in"]) == (1, None, 4)
+        for name in set(known) - {"one_in", "speed_up", "speed_up_half_width", "cycles_per_ray_without"}:
             assert row[name] == part[name]
         held += abs(row["speed_up"] - part["speed_up"]) <= part["speed_up_half_width"] < 0.2
     assert held >= 0.9 * len(rows)
-    said = run(cli.nptrace, *larger, "--part", "4").stdout
+    said = run(cli.nptrace, *larger, "--one-in", "4").stdout
     assert "from one in 4 of the 128 pieces of the rays: a speed-up is within its half-width" in said.replace("\n", " ")
 
 

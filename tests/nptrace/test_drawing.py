@@ -74,7 +74,7 @@ def test_results_are_drawn_as_their_file_is(folder):
         (lambda: nt.view(BVH, difference=True), "compares numbers of two runs"),
         (lambda: nt.report(BVH, output="r.txt"), "must end in .html"),
         (lambda: nt.report(BVH, output="r.html", rays=[1, 2]), "a report takes one machine"),
-        (lambda: nt.map("ball.obj", pixels="8x8", part=2), "takes 1,024 primary rays|primary rays, and 8x8"),
+        (lambda: nt.map("ball.obj", pixels="8x8", one_in=2), "takes 1,024 primary rays|primary rays, and 8x8"),
         (lambda: nt.map("ball.obj", out="s3://bucket/map"), "a map keeps rows beside its runs"),
     ):  # fmt: skip
         with pytest.raises(nt.NptraceError, match=sentence):

@@ -56,7 +56,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "study.toml").write_text(STUDY)
     part = "summarise traces/bunny-bvh --part 1/1 --size 1K --prefetch none,traced -o all.sum"
     assert CliRunner().invoke(cli.npcache, part.split()).exit_code == 0
-    rows = [hard_cases.Row("case", "kdtree", 9, 0, 0, 0, 0.5, bound, 0, 1) for bound in (4.0, math.inf)]
+    rows = [hard_cases.CaseRow("case", "kdtree", 9, 0, 0, 0, 0.5, bound, 0, 1) for bound in (4.0, math.inf)]
     monkeypatch.setattr(precompile, "compile_all", lambda watch: 3)
     monkeypatch.setattr(hard_cases, "run_all", lambda is_long, threads: rows)
     return tmp_path

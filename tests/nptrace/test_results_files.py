@@ -1,4 +1,4 @@
-"""Results as files, from Python and from commands: the same bytes, the version of their columns, whole or not there."""
+"""Results as files, from Python and from commands: the same bytes, the version of their columns, written atomically."""
 
 import json
 from pathlib import Path

@@ -19,7 +19,7 @@ COMMANDS = {name: getattr(cli, program).commands.get(name) for program in ("nptr
 OTHERS = {
     "--size": {"sweep": "every size"},
     "--seed": {"check": "rays", "table1": "sample", "estimate": "sample", "render": "order"},
-    "--rays": {"render": "a file"}, "--out": {"map": "parts"}, "--format": {"export": "addresses"}, "--part": {"map": "share"},
+    "--rays": {"render": "a file"}, "--out": {"map": "parts"}, "--format": {"export": "addresses"},
     "--output": dict.fromkeys(("view", "export", "summarise", "plot", "report"), "no rows"), "--by": {"time": "of the clock"},
     "--hit": {"table1": "equation"}, "--miss": {"table1": "equation"}, "--pixels": {"table1": "of an estimate"},
     "--target-error": {"table1": "asks for an estimate"}, "--machine": {},
@@ -110,6 +110,11 @@ def test_words_are_taken_in_any_case_and_as_lists(folder, command):
 def test_an_old_name_of_a_tally_says_the_new_one(folder):
     result = run(f"npcache time {RUN} --by ray --json")
     assert "--by ray is now --by ray-type" in result.stderr and '"by": "ray-type"' in result.stdout
+
+
+def test_an_old_name_of_an_option_says_the_new_one(folder):
+    result = run("nptrace map one.obj --part 17")
+    assert "--part is now --one-in" in result.stderr and "'--one-in': 17" in result.stderr
 
 
 def test_messages_call_an_option_as_it_was_typed(folder):

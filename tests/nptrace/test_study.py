@@ -210,7 +210,7 @@ def test_an_error_names_its_line(folder, old, new, line, sentence):
     (folder / "study.toml").write_text(text)
     said = run(cli.nptrace, "run", "study.toml", code=2).stderr
     if new == "replay = 3":  # TOML's own error
-        assert "study.toml is no TOML: " in said and "line" in said
+        assert "study.toml is not valid TOML: " in said and "line" in said
         return
     assert said.startswith(f"Error: study.toml, line {line}: ") and sentence in said and said.count("\n") == 1
     assert not Path("runs").exists()
@@ -232,7 +232,7 @@ def test_packets_and_shadow_rays_are_combinations_too(folder):
 
 def test_what_is_no_study_is_one_sentence(folder):
     for text, sentence in (
-        ("x", "is no TOML: "), ("[render]\nscenes = 'ball.obj'\n", "asks for no rows; add one of the tables [replay]"),
+        ("x", "is not valid TOML: "), ("[render]\nscenes = 'ball.obj'\n", "asks for no rows; add one of the tables [replay]"),
         ("[replay]\n", "has no table [render]"), ("render = 3\n", "study.toml, line 1: render is a table"),
     ):  # fmt: skip
         (folder / "study.toml").write_text(text)

@@ -79,5 +79,5 @@ def test_any_value_at_any_key(tmp_path_factory, table, name, value):
 
 def test_brackets_without_end_are_one_sentence(tmp_path):
     (tmp_path / "study.toml").write_text("out = " + "[" * 100_000)
-    with pytest.raises(NptraceError, match="is no TOML: "):
+    with pytest.raises(NptraceError, match="is not valid TOML: "):
         read_study(tmp_path / "study.toml")

@@ -23,7 +23,7 @@ import cli
 from nptrace import precompile
 from nptrace_base import jit, tables
 from rtrace.checks import hard_cases
-from rtrace.checks.hard_cases import Row
+from rtrace.checks.hard_cases import CaseRow
 from rtrace.scenes import catalog
 from rtrace.scenes.shapes import icosphere
 from tests.nptrace.test_nptrace import write_obj
@@ -57,8 +57,8 @@ COMMANDS = [
 #: What the commands read that takes long, or depends on the machine.
 STUDY = '[render]\nscenes = "ball.obj"\npixels = "8x8"\n[replay]\nsize = "1K,2K"\n[time]\nsize = "1K"\nrays = [1, 4]\n'
 HARD = [
-    Row("primary: ball, 1e4 radii away", "kd-tree, 3 levels", 1600, 0, 0, 0, 1.5, 16.0, 0, 12),
-    Row("shadows: light 1e30 away, slanted", "BVH, 64-byte nodes", 296130, 0, 0, 0, 0.0, 0.0, 0, 101),
+    CaseRow("primary: ball, 1e4 radii away", "kd-tree, 3 levels", 1600, 0, 0, 0, 1.5, 16.0, 0, 12),
+    CaseRow("shadows: light 1e30 away, slanted", "BVH, 64-byte nodes", 296130, 0, 0, 0, 0.0, 0.0, 0, 101),
 ]
 WIDTHS = (80, 100, 120)
 ROOT = Path(cli.__file__).resolve().parent

@@ -37,7 +37,7 @@ WRONG = {
     **dict.fromkeys(("workers",), (-1, True, "2", None, [1])),
     **dict.fromkeys(("overwrite", "strict", "offline", "three_c", "is_table1", "baselines"), (0, 1, "yes", None, [True])),
     **dict.fromkeys(("pixels",), (16, (16,), (1, 2, 3), (1.5, 2), ("16", "16"), (True, 1), "16", None, "0x0", (-1, 5))),
-    "map part": (0, 17, True, "2", None),
+    "one_in": (0, 17, True, "2", None),
     **dict.fromkeys(("part",), (1, (1,), (1, 2, 3), ("1", "2"), "3", None)),
     **dict.fromkeys(("size", "ways", "line", "bvh_nodes", "hit", "miss", "rays", "n"), (True, [True], "x", 0, -1)),
     **dict.fromkeys(

@@ -157,7 +157,7 @@ def test_a_missing_matplotlib_is_known_before_any_work(monkeypatch):
 def test_a_run_without_a_picture_is_one_sentence(tmp_path):
     write(make_trace("bvh", 1, n_rays=3), tmp_path / "run")
     result = view(str(tmp_path / "run"), "-o", "x.png", code=2)
-    assert "image.png is no picture (cannot identify image file" in result.stderr
+    assert "image.png is not a picture (cannot identify image file" in result.stderr
 
 
 def test_pictures_of_two_sizes_have_no_difference():

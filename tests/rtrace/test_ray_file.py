@@ -54,7 +54,7 @@ def test_hits_are_those_of_brute_force(folder, monkeypatch, kind):
     write("rays.parquet", origin, direction, t_max=t_max, any_hit=any_hit)
     nodes = ["--bvh-nodes", "64"] if kind == "bvh64" else []
     said = render("--rays", "rays.parquet", "--accel", kind.removesuffix("64"), *nodes).stderr
-    assert "rays.parquet: 450 rays, which are no picture, so image.png is one grey pixel" in said
+    assert "rays.parquet: 450 rays and no picture, so image.png is one grey pixel" in said
     [path] = (folder / "traces").iterdir()
     run = open_run(path)
     columns, accesses = run.columns("rays"), run.columns("accesses")

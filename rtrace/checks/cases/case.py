@@ -10,8 +10,7 @@ import numpy as np
 from rtrace.checks.exact_answers import T_BOUND, Answer, exact_answer
 from rtrace.rays import Rays, make_rays
 from rtrace.scenes.shapes import rectangle
-
-Point = tuple[float, float, float]
+from traces.frame import Point
 
 
 class Case(NamedTuple):
@@ -24,8 +23,8 @@ class Case(NamedTuple):
     answer : Answer
         In a case with a light ``is_hit`` tells whether the point that a ray hits is dark.
     bound : float
-        Largest error of t, in ``exact_answers.units``: 0 where float64 computes without rounding (then nothing is ambiguous),
-        infinite where t is not tested.
+        Largest error of t, in ``exact_answers.rounding_of_t``: 0 where float64 computes without rounding (then nothing is
+        ambiguous), infinite where t is not tested.
     light : 3 floats, optional
         The rays have one origin, the eye; the shadow rays of their hits are what is judged.
     name : str

@@ -80,7 +80,7 @@ def test_ray_types_and_what_the_clock_counts_are_drawn_too(run, figures, tmp_pat
     assert [text.get_text() for text in figures[0].axes[1].get_xticklabels()] == ["primary", "shadow"]
     timed = time_run(run, CACHES[:1], [PRESETS["paper"].clock], ["stack"], by="level", threads=1)
     draw_levels(tally_tables.records(timed, "level"), tmp_path / "x.png")
-    with pytest.raises(NptraceError, match="results by node are no bars"):
+    with pytest.raises(NptraceError, match="results by node cannot be drawn as bars"):
         draw_levels(list(GroupedRecords(replay_by(run, CACHES[:1], "node"))), tmp_path / "x.png")
 
 

@@ -12,7 +12,7 @@ def cell(speed_up, half=None, **changes):
     """Return a row of a map: a cell with this speed-up, or with this interval."""
     facts = {
         "scene": "bunny", "stand_in": False, "tree": "bvh", "prefetch": "push", "leaf": 1, "size_bytes": 8192, "ways": 1,
-        "triangle": 8, "miss": 100, "rays": 1, "parts": 1 if half is None else 4,
+        "triangle": 8, "miss": 100, "rays": 1, "one_in": 1 if half is None else 4,
     }  # fmt: skip
     return facts | {"speed_up": speed_up, "speed_up_half_width": half} | changes
 

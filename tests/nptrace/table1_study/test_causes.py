@@ -5,7 +5,7 @@ import random
 import pytest
 
 from cachesim.report.table1 import SCENES, TREES, paper_table
-from nptrace.table1_study.analysis import CHANCE, Study, causes, possible
+from nptrace.table1_study.analysis import CHANCE, StudyRows, causes, possible
 from nptrace.table1_study.fit import LABELS, Fits, beyond_target, placebo
 from nptrace.table1_study.knobs import BVH, KD, Setting
 from nptrace.table1_study.plan import one_at_a_time
@@ -23,7 +23,7 @@ def test_a_planted_cause_is_named():
         return 0.2 if setting.prefetch == "stack:budget=1" else 4.0
 
     rows = planted(off, settings=[Setting(), Setting(prefetch="stack:budget=1"), Setting(reads="merged")])
-    found = causes(Study(rows), "miss_ratio")
+    found = causes(StudyRows(rows), "miss_ratio")
     assert found.count(LABELS[0]) == 8
     assert found.chance == 1 / len(LABELS) < CHANCE
     for tree, scene in GROUPS:
@@ -36,7 +36,7 @@ def test_a_planted_cause_is_named():
 
 def test_where_the_default_is_near_nothing_is_to_explain():
     rows = planted(lambda setting, *_: 0.4 if setting == Setting() else 0.0, settings=[Setting(), Setting(reads="merged")])
-    found = causes(Study(rows), "miss_ratio")
+    found = causes(StudyRows(rows), "miss_ratio")
     assert {found.cause(*group) for group in GROUPS} == {"default"}
     assert found.count(LABELS[0]) == 0
 
@@ -51,7 +51,7 @@ def test_chance_comes_near_and_is_not_named(seed):
         return ours - paper_table()[*cell[:2], *cell[2]]["miss_ratio"]
 
     settings = dict.fromkeys([*one_at_a_time(Setting(), KD), *one_at_a_time(Setting(), BVH)])
-    found = causes(Study(planted(off, settings=settings)), "miss_ratio")
+    found = causes(StudyRows(planted(off, settings=settings)), "miss_ratio")
     assert max(found.found[*group, group[1]].after for group in GROUPS) < 5
     assert any(found.explains(*group, label) for group in GROUPS for label in SCENES)
     assert {found.cause(*group) for group in GROUPS} == {"not identified"}
@@ -97,9 +97,9 @@ def test_a_row_is_possible_together_only_by_one_setting():
         return 1.0 if setting.packet > 1 else 1.5 if setting == Setting() else 1.2
 
     settings = [Setting(), Setting(prefetch="stack:budget=1"), Setting(packet=4)]
-    study = Study(planted(off, settings=settings, factor=factor))
+    study = StudyRows(planted(off, settings=settings, factor=factor))
     # a million accesses are near those of kd-tree sibenik and of BVH bunny
     assert possible(study) == (32, 32, 16, 4, 0)
     assert possible(study, single=True) == (0, 32, 0, 0, 0)
-    study = Study(planted(off, settings=[*settings, Setting(packet=16)], factor=factor))
+    study = StudyRows(planted(off, settings=[*settings, Setting(packet=16)], factor=factor))
     assert possible(study) == (32, 32, 32, 8, 8)

@@ -64,7 +64,7 @@ def test_it_goes_with_nothing_that_it_decides(args):
 
 @pytest.mark.parametrize(
     ("options", "message"),
-    [({"preset": "mine"}, "'mine' is none of paper2013"), ({"preset": "paper2013", "layout": "bfs"}, "its own pictures")],
+    [({"preset": "mine"}, "'mine' is not one of paper2013"), ({"preset": "paper2013", "layout": "bfs"}, "its own pictures")],
 )
 def test_from_python_too(options, message):
     with pytest.raises(nt.NptraceError, match=message):

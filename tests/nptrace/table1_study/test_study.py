@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from cachesim.report.table1 import SCENES, TREES
 from nptrace.table1_study.__main__ import main
-from nptrace.table1_study.analysis import Study, ranges, split, tornado
+from nptrace.table1_study.analysis import StudyRows, ranges, split, tornado
 from nptrace.table1_study.cameras import own_camera, views
 from nptrace.table1_study.figures import CACHES, cells, implied, read_rows, setting_of
 from nptrace.table1_study.fit import Fits, held_out_by_cache, held_out_by_scene, summary
@@ -34,7 +34,7 @@ def test_the_quick_form_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert {path: path.stat().st_mtime_ns for path in parts} == parts  # kept, not made again
     rows = pq.read_table(whole).to_pylist()
     assert {(row["tree"], row["scene"]) for row in rows} == set(itertools.product(TREES, QUICK_SCENES))
-    study = Study(read_rows(whole))
+    study = StudyRows(read_rows(whole))
     assert study.base == Setting(pixels=32)
     assert {row["changed"] for row in study.rows} >= {(), ("prefetch",), ("builder",), ("reads",)}
     for cell in cells():
@@ -91,7 +91,7 @@ def test_ranges_and_swings_are_those_planted():
             (setting.reads, setting.prefetch), -3
         )
 
-    study = Study(planted(off, settings=settings))
+    study = StudyRows(planted(off, settings=settings))
     for each in ranges(study, ["miss_ratio"]):
         assert (each.low, each.default, each.high) == pytest.approx((each.paper - 3, each.paper + 4, each.paper + 6))
         assert each.is_inside

@@ -11,7 +11,7 @@ import pytest
 from rtrace.checks import exact_answers, hard_cases
 from rtrace.checks.cases.case import Case, exact_case
 from rtrace.checks.exact_answers import exact_answer, exact_hits, whole_numbers
-from rtrace.checks.hard_cases import STRUCTURES, Row, run_case
+from rtrace.checks.hard_cases import STRUCTURES, CaseRow, run_case
 from rtrace.rays import Hits, Rays, make_rays
 from rtrace.scenes.shapes import icosphere
 from rtrace.shading import shadow_rays
@@ -27,7 +27,7 @@ def case_of(name) -> Case:
 
 
 @functools.cache
-def rows_of(name) -> dict[str, Row]:
+def rows_of(name) -> dict[str, CaseRow]:
     return {row.structure: row for row in run_case(case_of(name))}
 
 

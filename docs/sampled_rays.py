@@ -1,4 +1,4 @@
-"""What cog writes into docs/speed-error.md about the clock on part of the rays, from docs/data/clock_error.csv."""
+"""What cog writes into docs/speed-error.md about the clock on a sample of the rays, from docs/data/clock_error.csv."""
 
 import statistics
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def methods(cog) -> None:
     """Write time, errors and intervals of every method."""
     rows = rows_of("clock_error.csv")
     figures = ("error", "bias", "half-width", "held %")
-    cog.outl("| part | of | time | speed-up: " + " | ".join(figures) + " | cycles / ray: " + " | ".join(figures) + " |")
+    cog.outl("| sample | of | time | speed-up: " + " | ".join(figures) + " | cycles / ray: " + " | ".join(figures) + " |")
     cog.outl("| --- | ---: |" + " ---: |" * 9)
     for method, parts in dict.fromkeys((row["method"], row["parts"]) for row in rows):
         of = [row for row in rows if (row["method"], row["parts"]) == (method, parts)]

@@ -1,4 +1,4 @@
-"""The clock on part of a run: every N-th piece of its rays in; speed-ups with 95 % intervals, for all of its rays, out.
+"""The clock on a sample of the rays: every N-th piece of a run in; speed-ups with 95 % intervals, for all of its rays, out.
 
 A piece is counted behind the piece before it, which warms the cache up. What a piece tells are its cycles per read of a line,
 since the trace has the number of reads. The pieces are taken as drawn at random; they are spread evenly, which is no worse.
@@ -32,11 +32,11 @@ LEAST = 64 * PIECES
 #: No interval is narrower than this share on either side: where nearly all pieces are alike, as with so many rays in flight
 #: that the port is always busy, those picked may miss the few that are not.
 NARROWEST = 0.002
-#: The smallest part is one of so many: it has eight pieces.
-MOST_PARTS = 16
+#: The smallest sample is one piece in so many: it has eight pieces.
+MOST_ONE_IN = 16
 
 
-class Stream(NamedTuple):
+class CutRows(NamedTuple):
     """All rows of a run in memory, and the rays at which its pieces begin; ``cuts`` has the end too."""
 
     rows: Rows
@@ -59,7 +59,7 @@ class Figures(NamedTuple):
     of_speed_up: float
 
 
-class Estimated(NamedTuple):
+class EstimatedSpeedUp(NamedTuple):
     """A speed-up, and the cycles per ray without prefetches, of one machine, cache and policy; relative half-widths."""
 
     run: Run
@@ -80,41 +80,43 @@ class Estimated(NamedTuple):
         }  # fmt: skip
 
 
-def time_part(
-    run: Run, configs: Sequence[CacheConfig], clocks: Sequence[Clock], prefetches: Sequence[str], parts: int, threads: int
-) -> list[Estimated]:  # fmt: skip
+def time_sample(
+    run: Run, configs: Sequence[CacheConfig], clocks: Sequence[Clock], prefetches: Sequence[str], one_in: int, threads: int
+) -> list[EstimatedSpeedUp]:  # fmt: skip
     """Estimate the speed-up of every cache on every machine under every policy, the policies fastest.
 
     Parameters
     ----------
-    parts : int
-        One of so many pieces is timed, 2 to ``MOST_PARTS``.
+    one_in : int
+        One of so many pieces is timed, 2 to ``MOST_ONE_IN``.
 
     Raises
     ------
     NptraceError
         The run has too few rays, or its shadow rays do not follow their primary rays; a policy needs all rays.
     """
-    if not 2 <= parts <= MOST_PARTS:
-        raise NptraceError(f"a part is one of 2 to {MOST_PARTS}, not of {parts}; choose another, or time all of the run")
+    if not 2 <= one_in <= MOST_ONE_IN:
+        raise NptraceError(
+            f"a sample is one piece in 2 to {MOST_ONE_IN}, not in {one_in}; choose another, or time all of the run"
+        )
     source = RunSource(run)
-    stream, workshop = read_stream(source, LEAST), Workshop(source, threads, is_whole=False)
-    check(configs, clocks, stream.rows.waits_for.size)
+    cut, workshop = read_cut_rows(source, LEAST), Workshop(source, threads, is_whole=False)
+    check(configs, clocks, cut.rows.waits_for.size)
     policies = [timed_policy(name) for name in ("none", *prefetches)]
     for prefetch in policies:
         if workshop.job(configs[0], clocks[0], prefetch, is_scout=True) is not None:
-            raise NptraceError(f"{prefetch} goes through all rays twice, and a part has not all; time all of the run")
-    pieces = range(parts // 2, PIECES, parts)
+            raise NptraceError(f"{prefetch} goes through all rays twice, and a sample lacks most of them; time all of the run")
+    pieces = range(one_in // 2, PIECES, one_in)
     cells = list(product(configs, clocks))
 
     def counted(case: tuple[tuple[CacheConfig, Clock], Prefetch]) -> Counted:
         (config, clock), prefetch = case
         job = workshop.job(config, clock, prefetch)
         assert job is not None
-        return count(job, *picked(stream, pieces, clock.rays))
+        return count(job, *picked(cut, pieces, clock.rays))
 
     # Before the threads, which then find the trees read.
-    reads = {size: _reads(workshop.tree(size)[0], stream) for size in {config.line_bytes for config in configs}}
+    reads = {size: _reads(workshop.tree(size)[0], cut.rows) for size in {config.line_bytes for config in configs}}
     with thread_pool(threads) as pool:
         counts = iter(pool.map(counted, product(cells, policies)))
     found = []
@@ -123,16 +125,16 @@ def time_part(
         slow = figures(without, without).cycles_per_read * per_ray
         for prefetch in policies[1:]:
             of = figures(without, next(counts))
-            found.append(Estimated(run, config, clock, str(prefetch), of.speed_up, of.of_speed_up, slow))
+            found.append(EstimatedSpeedUp(run, config, clock, str(prefetch), of.speed_up, of.of_speed_up, slow))
     return found
 
 
-def _reads(tree: Tree, stream: Stream) -> int:
+def _reads(tree: Tree, rows: Rows) -> int:
     """Return the lines that all demand reads of a run look up."""
-    return int(np.sum(tree.n_lines[stream.rows.nodes], dtype=np.int64))
+    return int(np.sum(tree.n_lines[rows.nodes], dtype=np.int64))
 
 
-def read_stream(source: RunSource, least: int = PIECES) -> Stream:
+def read_cut_rows(source: RunSource, least: int = PIECES) -> CutRows:
     """Return the rows of a run; pieces begin at primary rays. NptraceError if there are fewer than ``least``."""
     stretches = Stretches(source)
     stretches.keep(0, 0)
@@ -140,22 +142,22 @@ def read_stream(source: RunSource, least: int = PIECES) -> Stream:
     starts = np.flatnonzero(rows.waits_for == NOTHING)
     if starts.size < least or np.any(rows.waits_for >= 0):
         raise NptraceError(
-            f"{source.identity.run} cannot be timed in part: that takes {least} primary rays that read nodes, each with its "
-            f"shadow ray behind it, and it has {starts.size} of them; time all of it, or trace a larger picture"
+            f"{source.identity.run} cannot be timed by a sample: that takes {least} primary rays that read nodes, each with "
+            f"its shadow ray behind it, and it has {starts.size} of them; time all of it, or trace a larger picture"
         )
     wanted = np.searchsorted(starts, np.linspace(0, rows.waits_for.size, PIECES + 1)[1:-1])
-    return Stream(rows, np.array([0, *starts[np.clip(wanted, 0, starts.size - 1)], rows.waits_for.size]))
+    return CutRows(rows, np.array([0, *starts[np.clip(wanted, 0, starts.size - 1)], rows.waits_for.size]))
 
 
 def picked(
-    stream: Stream, pieces: Sequence[int], n_slots: int, *, is_warm: bool = True
+    cut: CutRows, pieces: Sequence[int], n_slots: int, *, is_warm: bool = True
 ) -> tuple[Rows, list[tuple[int, int]]]:  # fmt: skip
     """Return the rays of some pieces, one after the other, and from where to where each of them is to be counted.
 
     With ``is_warm``, the piece before one that is not there stands before it, and is not counted. At the end stand as many
     further rays as keep all slots busy until the last piece is done.
     """
-    rows, cuts = stream
+    rows, cuts = cut
     n_rays = rows.waits_for.size
     stretches: list[tuple[int, int]] = []
     counted: list[tuple[int, int]] = []

@@ -1,10 +1,20 @@
-"""Parts of a run for the clock: which rays they are, that all pieces together are the run, and an interval by hand."""
+"""A sample of a run's rays for the clock: which rays they are, that all pieces are the run, and an interval by hand."""
 
 import numpy as np
 import pytest
 
 from cachesim.clock.parameters import PRESETS
-from cachesim.clock.parts import NARROWEST, PIECES, Counted, count, figures, picked, read_stream, reads_of, time_part
+from cachesim.clock.sampled_rays import (
+    NARROWEST,
+    PIECES,
+    Counted,
+    count,
+    figures,
+    picked,
+    read_cut_rows,
+    reads_of,
+    time_sample,
+)
 from cachesim.clock.timing import Workshop, time_run
 from cachesim.config import CacheConfig
 from cachesim.prefetch import parse_prefetch
@@ -25,7 +35,7 @@ def source(tmp_path_factory):
 
 
 def test_pieces_are_cut_at_primary_rays_and_hold_every_ray(source):
-    rows, cuts = read_stream(source)
+    rows, cuts = read_cut_rows(source)
     assert len(cuts) == PIECES + 1 and (np.diff(cuts) > 0).all() and cuts[-1] == rows.waits_for.size
     assert (rows.types[cuts[:-1]] == 0).all()
     assert rows.first[-1] == rows.nodes.size
@@ -38,7 +48,7 @@ def test_parts_share_no_piece_and_leave_none_out(method, n):
 
 
 def test_what_is_counted_are_the_pieces_and_before_them_stands_the_piece_before(source):
-    stream = read_stream(source)
+    stream = read_cut_rows(source)
     rows, cuts = stream
     warm, of_warm = picked(stream, [3, 4, 9], 2, is_warm=True)
     cold, of_cold = picked(stream, [3, 4, 9], 2, is_warm=False)
@@ -54,7 +64,7 @@ def test_what_is_counted_are_the_pieces_and_before_them_stands_the_piece_before(
 
 @pytest.mark.parametrize("n_slots", [1, 8])
 def test_all_pieces_together_are_the_run(source, n_slots):
-    stream, workshop = read_stream(source), Workshop(source, 1)
+    stream, workshop = read_cut_rows(source), Workshop(source, 1)
     cell = Cell(PRESETS["paper"].clock.with_numbers(rays=n_slots), CacheConfig(1024, 2, 32))
     job, other = (workshop.job(cell.config, cell.clock, parse_prefetch("push")) for _ in range(2))
     counts = count(other, *picked(stream, range(PIECES), n_slots))
@@ -79,8 +89,8 @@ def test_an_interval_by_hand():
 def test_a_part_tells_what_the_run_tells(source):
     """Every second piece of a smooth run; cycles per ray, speed-ups, and their order are those of ``time_run``."""
     configs, clocks = [CacheConfig(1024, 2, 32), CacheConfig(2048, 1, 32)], [PRESETS["paper"].clock]
-    parts = time_part(source.run, configs, clocks, ("stack", "push"), 2, 1)
-    for part, all_ in zip(parts, time_run(source.run, configs, clocks, ("stack", "push"), threads=1), strict=True):
+    found = time_sample(source.run, configs, clocks, ("stack", "push"), 2, 1)
+    for part, all_ in zip(found, time_run(source.run, configs, clocks, ("stack", "push"), threads=1), strict=True):
         assert (part.config, part.prefetch) == (all_.config, all_.prefetch)
         assert 0 < abs(part.speed_up / all_.speed_up - 1) < part.of_speed_up < 0.05
         assert part.cycles_per_ray_without == pytest.approx(all_.cycles_without / all_.n_rays, rel=0.03)
@@ -94,15 +104,15 @@ def test_a_part_tells_what_the_run_tells(source):
 )
 def test_what_needs_all_rays_is_refused(source, prefetch, sentence):
     with pytest.raises(NptraceError, match=sentence):
-        time_part(source.run, [CacheConfig(1024, 2, 32)], [PRESETS["paper"].clock], (prefetch,), 8, 1)
+        time_sample(source.run, [CacheConfig(1024, 2, 32)], [PRESETS["paper"].clock], (prefetch,), 8, 1)
 
 
 @pytest.mark.parametrize(("pixels", "batch"), [(8, 1), (32, 0)])
 def test_a_run_of_few_rays_or_in_batches_is_refused(pixels, batch, tmp_path):
     scene = stand_in("blob", detail=0.2)
     render(scene, build_tree(scene.triangles, "bvh"), Shooting(pixels, pixels, batch=batch), tmp_path / "run", threads=1)
-    with pytest.raises(NptraceError, match="run cannot be timed in part: that takes 128 primary rays"):
-        read_stream(RunSource(open_run(tmp_path / "run")))
+    with pytest.raises(NptraceError, match="run cannot be timed by a sample: that takes 128 primary rays"):
+        read_cut_rows(RunSource(open_run(tmp_path / "run")))
 
 
 def test_the_fields_of_the_bench_are_those_of_its_rows(source):
