@@ -1,7 +1,7 @@
 """Counts only, LRU: line numbers and access types in, misses per access type out.
 
 Each set is an array of lines, newest first, and a line that is accessed moves to the front. Lines are uint32. A source may
-number them from its lowest line: that turns the sets round and changes no count. The state is updated in place, so replaying
+number them from its lowest line: that only permutes the sets. The state is updated in place, so replaying
 a trace in batches is replaying it at once, and it is a summary as ``cachesim.summary`` describes: it has what a later replay
 needs to go on, and the open accesses, with which it can follow an earlier part.
 """

@@ -77,7 +77,7 @@ def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout |
         addresses[inner] = layout.base + node_bytes * _inner_slots(nodes, parents, node_bytes, layout)
         return addresses
     if layout.name == "stored":
-        return stored_addresses(nodes["level"].size, node_bytes, layout)
+        return addresses_in_order(nodes["level"].size, node_bytes, layout)
     if layout.name == "bfs":
         slots = _positions(np.argsort(nodes["level"], kind="stable"))
     elif layout.name == "dfs":
@@ -88,7 +88,7 @@ def addresses(nodes: Mapping[str, np.ndarray], node_bytes: int, layout: Layout |
     return layout.base + node_bytes * slots
 
 
-def stored_addresses(n_nodes: int, node_bytes: int, layout: Layout) -> np.ndarray:
+def addresses_in_order(n_nodes: int, node_bytes: int, layout: Layout) -> np.ndarray:
     """Return the byte address of every node in the order of the node numbers, (n_nodes,) int64."""
     return layout.base + node_bytes * np.arange(n_nodes, dtype=np.int64)
 

@@ -23,7 +23,7 @@ from nptrace_base.engines import Engine
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 from nptrace_base.pools import thread_pool
-from nptrace_base.sources import digest_of
+from nptrace_base.source_files import digest_of
 
 #: Accesses in the smallest part that a thread gets: less takes longer to open and to join than it saves.
 LEAST_PART = 1 << 20
@@ -32,11 +32,12 @@ LEAST_PART = 1 << 20
 #: thread has one: more cost more work than their balance saves.
 PARTS_PER_WORKER, PART = 4, 1 << 22
 
-Progress = Callable[[int], None] | None
+OnProgress = Callable[[int], None] | None
 
 
 def count(
-    source: Source, question: Question, *, threads: int | None = None, engine: Engine | None = None, progress: Progress = None,
+    source: Source, question: Question, *, threads: int | None = None, engine: Engine | None = None,
+    progress: OnProgress = None,
 ) -> Any:  # fmt: skip
     """Return the summary of a whole trace; it does not depend on threads and the engine's workers.
 
@@ -58,7 +59,7 @@ def count(
         return reduce(lambda one, other: one.then(other), [each.result() for each in running])
 
 
-def pass_through(source: Source, question: Question, threads: int = 1, progress: Progress = None) -> Any:
+def pass_through(source: Source, question: Question, threads: int = 1, progress: OnProgress = None) -> Any:
     """Return the summary of a source, read from its first event to its last, twice if something has to be foreseen."""
     summary = question.begin(source)
     if any(config.policy == "opt" for config in question.configs):
@@ -114,7 +115,7 @@ def cut(source: RunSource, n: int) -> list[Part]:
     return [Part(source, number, n, lines) for number in range(1, n + 1)]
 
 
-def _one_at_a_time(progress: Progress) -> Progress:
+def _one_at_a_time(progress: OnProgress) -> OnProgress:
     """Return a function for several threads to call."""
     if progress is None:
         return None
@@ -127,7 +128,7 @@ def _one_at_a_time(progress: Progress) -> Progress:
     return advance
 
 
-def _by_workers(source: Source, question: Question, engine: Engine, progress: Progress) -> Any:
+def _by_workers(source: Source, question: Question, engine: Engine, progress: OnProgress) -> Any:
     check_parts(question.configs, question.policy)
     if type(source) is not RunSource:
         raise NptraceError(f"{source.identity.run} has no rays, between which a trace is cut for workers; leave workers out")

@@ -13,7 +13,7 @@ import numpy as np
 from cachesim.access import MISC, PREFETCH, READ
 from cachesim.cache import NEVER
 from cachesim.policies import Facts, Policy, hooks, own_policy, policies
-from cachesim.policies.machine import Tree, first_waiting, make_machine, stop_waiting
+from cachesim.policies.machine import NodeColumns, first_waiting, make_machine, stop_waiting
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
 from traces.format import LEAF as KIND_LEAF
@@ -111,7 +111,7 @@ class UnitReplay:
             raise NptraceError(f"what {prefetch} requests depends on time, which a replay does not have; use npcache time")
         self._prefetch, self._where = prefetch, where
         self._boxes = node_format.boxes
-        tree = Tree(
+        tree = NodeColumns(
             n_prims=np.ascontiguousarray(n_prims, np.uint32),
             level=np.ascontiguousarray(level, np.uint16),
             parent=np.ascontiguousarray(parent, np.int32),

@@ -18,6 +18,9 @@ from nptrace_base.jit import kernel
 
 READS = ("own", "children", "merged")
 
+#: What ``merge_reads`` remembers of the last visit: the lowest of its lines, and how many.
+_FIRST, _COUNT = range(2)
+
 
 def reads_of(source: Any, reads: str, line_bytes: int, flush: str = "never") -> Any:
     """Return a source whose visits read what ``reads``, one of ``READS``, says.
@@ -125,7 +128,7 @@ def read_children(nodes, access_types, parent, child, last, read, read_types):
 
 @kernel
 def merge_reads(nodes, access_types, first, n_lines, last, is_emptied, read, read_types):
-    """Copy the requests, and the visits of other lines than ``last`` (the lowest line, and how many). Return how many.
+    """Copy the requests, and the visits of other lines than ``last``. Return how many.
 
     With ``is_emptied`` a ray, which starts at the root, finds no line.
     """
@@ -134,11 +137,11 @@ def merge_reads(nodes, access_types, first, n_lines, last, is_emptied, read, rea
         node = nodes[i]
         if access_types[i] != REQUEST:
             if node == 0 and is_emptied:
-                last[1] = 0
+                last[_COUNT] = 0
             line, count = np.int64(first[node]), np.int64(n_lines[node])
-            if line >= last[0] and line + count <= last[0] + last[1]:
+            if line >= last[_FIRST] and line + count <= last[_FIRST] + last[_COUNT]:
                 continue
-            last[0], last[1] = line, count
+            last[_FIRST], last[_COUNT] = line, count
         read[n], read_types[n] = node, access_types[i]
         n += np.uint64(1)
     return n

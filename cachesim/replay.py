@@ -19,8 +19,8 @@ from cachesim.cache import (
     USELESS,
     n_resident_unused,
 )
+from cachesim.cache_counts import CacheCounts
 from cachesim.config import CacheConfig
-from cachesim.exact import Exact
 from cachesim.fast_lru import LruCounts
 from cachesim.filter import DirectFilter, filter_sets
 from cachesim.layout import Layout
@@ -40,7 +40,7 @@ LEAST_FILTER = 16
 
 
 class _Piece(NamedTuple):
-    """Some accesses of one stream at one line size, as ``Exact.step`` takes them."""
+    """Some accesses of one stream at one line size, as ``CacheCounts.step`` takes them."""
 
     lines: np.ndarray
     access_types: np.ndarray
@@ -62,14 +62,14 @@ class _Job:
         self.config, self._asked = config, asked
         prefetch, none = asked.policy, parse_prefetch("none")
         has_full = prefetch.kind != "none" or asked.three_c
-        self._full = Exact(config, prefetch, three_c=asked.three_c) if has_full else None
-        self._alone: LruCounts | Exact | None = None
+        self._full = CacheCounts(config, prefetch, three_c=asked.three_c) if has_full else None
+        self._alone: LruCounts | CacheCounts | None = None
         if prefetch.kind != "none" or not has_full:
-            self._alone = LruCounts(config) if _is_countable(config) else Exact(config, none, three_c=False)
+            self._alone = LruCounts(config) if _is_countable(config) else CacheCounts(config, none, three_c=False)
 
     @property
     def needs_ids(self) -> bool:
-        return self._full is not None or isinstance(self._alone, Exact)
+        return self._full is not None or isinstance(self._alone, CacheCounts)
 
     def steps(self, demand: _Piece, everything: _Piece) -> list[Step]:
         """Return the caches to step, each with a piece of its stream."""

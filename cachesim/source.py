@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from cachesim.access import PREFETCH
-from cachesim.layout import Layout, addresses, parse_layout, stored_addresses
+from cachesim.layout import Layout, addresses, addresses_in_order, parse_layout
 from cachesim.lines import AddressLines, Lines, NodeLines, read_only
 from cachesim.prefetch import KIND_LEAF, KIND_PREFETCH, REQUEST, Prefetch, UnitReplay
 from nptrace_base.errors import NptraceError
@@ -70,7 +70,7 @@ class RunSource:
         self.node_format, self._node_bytes = run.footer.tree.node_format, run.footer.tree.node_bytes
         reads_leaves = self.node_format.reads_leaves
         if self.layout.name == "stored" and reads_leaves:
-            self._addresses = stored_addresses(run.n_nodes, self._node_bytes, self.layout)
+            self._addresses = addresses_in_order(run.n_nodes, self._node_bytes, self.layout)
         else:
             nodes = run.columns("nodes", ["level", "parent"])
             self._addresses = addresses(nodes, self._node_bytes, self.layout, reads_leaves)

@@ -26,8 +26,8 @@ What more is counted needs more, and the same three steps:
 - The sweep (``cachesim.all_associativity``): a line that is open at 2^k sets is open at every larger number, so an open
   access has the first number of sets at which it is open, and is replayed from there on.
 - Stack distances (``cachesim.stack_distance``): one set with room for all lines; the first access to each line is open.
-- The account and the three kinds of misses (``cachesim.exact``): the first access to *every* line, because a miss in a full
-  set is pollution if a prefetch of an earlier part pushed the line out, and no longer compulsory if an earlier part used it.
+- The account and the three kinds of misses (``cachesim.cache_counts``): the first access to *every* line, because a miss in a
+  full set is pollution if a prefetch of an earlier part pushed the line out, and not compulsory if an earlier part used it.
   Only the open ones step the cache. A fill by an open prefetch has a fate: its line was demanded, was evicted before that, or
   waits. If it turns out that the line was there, and demanded, the prefetch filled nothing, and its fate is taken back.
 

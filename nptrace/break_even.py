@@ -21,7 +21,7 @@ from nptrace import __version__
 from nptrace_base.atomic import whole_file
 from nptrace_base.errors import NptraceError
 from nptrace_base.records import write_parquet
-from nptrace_base.sources import digest_of
+from nptrace_base.source_files import digest_of
 from rtrace.render import Shooting, render_all
 from rtrace.scenes.scene import Scene
 from traces.identity import COLUMNS

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, place
-from nptrace_base.sources import digest_of
+from nptrace_base.source_files import digest_of
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from nptrace.scene_options import load_scenes, parse_tree, tree_params
 from nptrace.values import OptionError
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import place
-from nptrace_base.sources import digest_of
+from nptrace_base.source_files import digest_of
 from traces.reader import Run, open_run
 
 if TYPE_CHECKING:

@@ -89,7 +89,7 @@ def is_special(path: Path) -> bool:
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``, a plain file's, to which it is renamed; for caches, which handle an OSError."""
-    _sweep(path)
+    _delete_left(path)
     temporary = path.with_name(f".{path.stem}.{new_mark()}.tmp{path.suffix}")
     try:
         yield temporary
@@ -144,7 +144,7 @@ def _may_write(path: Path) -> bool:
     return os.access(path, os.W_OK, effective_ids=os.access in os.supports_effective_ids)
 
 
-def _sweep(path: Path) -> None:
+def _delete_left(path: Path) -> None:
     head, tail = f".{path.stem}.", f".tmp{path.suffix}"
     for left in path.parent.glob(f"{glob.escape(head)}*-*{glob.escape(tail)}"):
         if is_left(left, left.name[len(head) : -len(tail)]):

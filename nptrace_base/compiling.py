@@ -10,7 +10,7 @@ from pathlib import Path
 #: Called with one sentence when the first kernel of this process has to be compiled, and when kernels or trees cannot be
 #: stored. None disables the notice.
 announce: Callable[[str], object] | None = None
-#: Called with the number of kernels begun, and whether one is being compiled, whenever that changes; None: nobody looks.
+#: Called with the number of kernels begun, and whether one is being compiled, whenever that changes; None disables it.
 watch: Callable[[int, bool], object] | None = None
 #: For ``gc.set_threshold``: importing and compiling make millions of lasting objects, and searching them for
 #: cycles took a fifth of the time.
@@ -29,7 +29,7 @@ def started(folder: Path | None) -> None:
         _busy += 1
         number = n_compiled
     if number == 1 and announce is not None:
-        # How long everything takes is said once, by the first command after an installation or a change.
+        # The message says once how long everything takes: in the first command after an installation or a change.
         is_first = folder is None or next(folder.glob("*/*.nbc"), None) is None
         how_long = " (all of it takes a minute or two)" if is_first else ", kernels that only this command needs"
         announce(f"compiling for this machine, once{how_long}" + (f": kept in {folder}" if folder else ""))

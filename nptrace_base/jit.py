@@ -35,7 +35,7 @@ from platformdirs import user_cache_path
 from nptrace_base import compiling
 from nptrace_base.atomic import replacing
 from nptrace_base.folders import private_folder
-from nptrace_base.sources import ROOT, digest_of
+from nptrace_base.source_files import ROOT, digest_of
 
 _PACKAGES = ("rtrace", "traces", "cachesim")
 _KEPT_FOLDERS = 4  # compiled sets of earlier sources; older ones are deleted

@@ -188,7 +188,7 @@ def place(given: "Place | str | os.PathLike[str]") -> Place:
             raise PlaceError(f"{text} names the host {rest.partition('/')[0]!r}; write file:/// and an absolute path")
         return Path(unquote(f"/{rest.lstrip('/')}"))
     if scheme not in SCHEMES:
-        raise PlaceError(f"{scheme}:// is no store of runs; give a path, or an address of {', '.join(SCHEMES)} or file")
+        raise PlaceError(f"{scheme}:// is not a store of runs; give a path, or an address of {', '.join(SCHEMES)} or file")
     before, _, query = rest.partition("?")
     authority, _, path = before.partition("/")
     return _checked(Remote(scheme, authority, path.strip("/"), query))

@@ -22,7 +22,7 @@ import numpy as np
 from nptrace_base.engines import Engine
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, older, publish, sizes
-from nptrace_base.sources import digest_of
+from nptrace_base.source_files import digest_of
 from rtrace.chunk import Chunk
 from rtrace.counts import RunCounts
 from rtrace.ray_file import CHUNK as RAYS_OF_CHUNK

@@ -4,10 +4,8 @@ import ast
 from collections import defaultdict
 from pathlib import Path
 
-from nptrace_base.sources import OURS, ROOT
+from nptrace_base.source_files import OURS, ROOT
 
-#: Names that two modules of kernels share; renaming either compiles every kernel anew.
-SHARED = {"Part", "Progress", "Rows", "Tree"}
 MOST_LINES = 400
 
 
@@ -33,8 +31,7 @@ def test_no_two_modules_define_a_type_of_one_name():
             if not name.startswith("_"):
                 places[name].append(path.relative_to(ROOT).as_posix())
     assert len(places) > 150
-    assert {name: found for name, found in places.items() if len(found) > 1 and name not in SHARED} == {}
-    assert {name for name, found in places.items() if len(found) > 1} == SHARED
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
 
 
 def test_a_module_is_short_and_its_first_line_says_what_it_is():

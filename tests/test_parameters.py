@@ -3,7 +3,7 @@
 import ast
 from pathlib import Path
 
-from nptrace_base.sources import OURS, ROOT
+from nptrace_base.source_files import OURS, ROOT
 
 MOST, REASON = 9, "# Many parameters: "
 

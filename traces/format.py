@@ -34,6 +34,7 @@ def _field(name: str, type_: pa.DataType, meaning: str) -> pa.Field:
     return pa.field(name, type_, nullable=False, metadata={"meaning": meaning})
 
 
+#: The meanings are bytes of every run, which must not change: hence the hyphens.
 ACCESSES = pa.schema(
     [
         _field("ray", pa.uint32(), "number of the ray, ascending"),

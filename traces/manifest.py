@@ -14,7 +14,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
@@ -152,11 +152,6 @@ def verified(content: bytes, file: FileFacts, where: Place) -> bytes:
     if len(content) != file.bytes or hashlib.sha256(content).hexdigest() != file.sha256:
         raise RunError(f"{where} has been changed since the run was written (its checksum is wrong); render it again")
     return content
-
-
-def part_footer(footer: Footer, n_rays: int, n_accesses: int) -> Footer:
-    """Return the footer of a part's files: that of the run, with the rows of the part."""
-    return replace(footer, n_rays=n_rays, n_accesses=n_accesses)
 
 
 def is_of_run(name: str) -> bool:

@@ -41,7 +41,7 @@ _AHEAD = 2
 #: One array per column of a table, all of one length.
 Columns = Mapping[str, np.ndarray]
 #: Columns, or a function that makes pieces of them.
-Rows = Columns | Callable[[], Iterable[Columns]]
+RowPieces = Columns | Callable[[], Iterable[Columns]]
 
 
 def empty_column(n: int, dtype: type[np.generic]) -> np.ndarray:
@@ -72,7 +72,7 @@ class TableWriter:
             self._file, schema, column_encoding=column_encoding(schema), write_statistics=schema.names[:1], **ENCODING
         )
 
-    def append(self, columns: Rows) -> None:
+    def append(self, columns: RowPieces) -> None:
         """Append rows; a function that yields them is called by the thread."""
         self._waiting.append(self._thread.submit(self._take, columns))
         self.wait(_AHEAD)
@@ -82,7 +82,7 @@ class TableWriter:
         while len(self._waiting) > n_left:
             self._waiting.popleft().result()
 
-    def _take(self, columns: Rows) -> None:
+    def _take(self, columns: RowPieces) -> None:
         for each in [columns] if isinstance(columns, Mapping) else columns():
             self._add(each)
 
@@ -168,7 +168,7 @@ class RunWriter:
                 raise RunError(f"{self.path} is a link to {self._real}, whose folder is missing; choose another --out")
             self._real.parent.mkdir(parents=True, exist_ok=True)
             for path in {self.path, self._real}:
-                _sweep(path)
+                _delete_left(path)
             self._temp = self._real.with_name(f".{self._real.name}.{new_mark()}.tmp")
             self._temp.mkdir()
         except (FileExistsError, NotADirectoryError) as e:
@@ -187,7 +187,7 @@ class RunWriter:
             raise
         return self
 
-    def append(self, table: str, columns: Rows) -> None:
+    def append(self, table: str, columns: RowPieces) -> None:
         """Append rows to ``accesses``, ``rays`` or ``nodes``; a function that yields them is called by the file's thread."""
         self._tables[table].append(columns)
 
@@ -294,7 +294,7 @@ def looks_like_run(path: Place) -> bool:
     return all(map(is_of_run, names)) and (not names or not names <= {*FILES} - {"accesses.parquet"})
 
 
-def _sweep(path: Path) -> None:
+def _delete_left(path: Path) -> None:
     """Delete what writers that are gone have left beside ``path``; restore a run that one of them had moved aside."""
     for left in path.parent.glob(f".{glob.escape(path.name)}.*-*"):
         if left.suffix not in (".tmp", ".old") or not is_left(left, left.stem[len(path.name) + 2 :]):

@@ -12,7 +12,7 @@ import numpy as np
 from cachesim.clock.kernel import N_CAUSES
 from cachesim.clock.log import LOG_BOX, LOG_READ, LOG_TRIANGLES
 from cachesim.clock.parameters import Clock
-from cachesim.clock.state import BOX, CYCLES, HIT, LATE, MISS, TRIANGLE, Rows
+from cachesim.clock.state import CYCLES, SPENT_BOX, SPENT_HIT, SPENT_LATE, SPENT_MISS, SPENT_TRIANGLE, Rows
 from cachesim.clock.stretches import Stretches
 from cachesim.clock.timing import Workshop, check, timed_policy
 from cachesim.config import CacheConfig
@@ -25,7 +25,7 @@ from nptrace_base.jit import kernel
 ROWS, ENTRIES = 1 << 14, 1 << 17
 
 #: What the cycles of a pixel are spent on; waits for the port, an MSHR or a unit belong to no ray of the log.
-SPENT = (BOX, TRIANGLE, HIT, MISS, LATE)
+SPENT = (SPENT_BOX, SPENT_TRIANGLE, SPENT_HIT, SPENT_MISS, SPENT_LATE)
 
 
 def cycles_by_pixel(
@@ -97,6 +97,6 @@ def add_up(log, pixels, counts):
         if what == LOG_READ:
             counts[pixels[number // N_CAUSES], number % N_CAUSES] += log[i, 1]
         elif what == LOG_BOX:
-            counts[pixels[number], BOX] += log[i, 1]
+            counts[pixels[number], SPENT_BOX] += log[i, 1]
         elif what == LOG_TRIANGLES:
-            counts[pixels[number], TRIANGLE] += log[i, 1]
+            counts[pixels[number], SPENT_TRIANGLE] += log[i, 1]

@@ -3,7 +3,7 @@
 In a cycle, lines arrive first, in the order of their requests. Then come the events of the rays, by slot: a test is over,
 the next read becomes ready. Then the port takes as many requests as it has places: demand reads in the order in which they
 became ready, then prefetches, of the slot that has waited longest. A demand read that needs an MSHR when none is free holds
-the port.
+the port. A slot takes one ray a cycle, so a ray that reads nothing has it for one.
 """
 
 import numpy as np
@@ -12,24 +12,24 @@ from cachesim.clock.calendar import NEVER, enter, lowest_bit, next_cycle, take_w
 from cachesim.clock.log import LOG_BOX, LOG_READ, LOG_TRIANGLES, note
 from cachesim.clock.memory import after, fill, prefetch, read
 from cachesim.clock.state import (
-    BOX,
     BY_LEAF,
     CYCLES,
-    FREE,
-    IDLE,
-    LEAF,
-    MSHR,
-    PORT,
-    TEST,
-    TRIANGLE,
-    UNIT,
-    VISIT,
+    LEAF_DUE,
+    RAY_DUE,
+    SPENT_BOX,
+    SPENT_IDLE,
+    SPENT_MSHR,
+    SPENT_PORT,
+    SPENT_TRIANGLE,
+    SPENT_UNIT,
+    TEST_DUE,
+    VISIT_DUE,
 )  # fmt: skip
+from cachesim.clock.stretches import THE_RAY_BEFORE
 from cachesim.policies import hooks
 from cachesim.policies.machine import first_waiting, stop_waiting
 from nptrace_base.jit import inlined, kernel
-from traces.format import LEAF as KIND_LEAF
-from traces.format import PUSH as KIND_PUSH
+from traces.format import LEAF, PUSH
 
 N_CAUSES = len(CYCLES)
 
@@ -45,7 +45,7 @@ def run(rows, unit, machine, clock, parameters):
         numbers.is_started = 1
         now = np.int64(-1)
         for slot in range(n_slots):
-            slots[slot].event = FREE
+            slots[slot].event = RAY_DUE
             slots[slot].since = 0
             _schedule(clock, slot, now, np.int64(0))
     while True:
@@ -75,7 +75,7 @@ def run(rows, unit, machine, clock, parameters):
         _use_port(unit, machine, clock, parameters, now)
     hooks.on_finish(unit, machine)
     for slot in range(n_slots):
-        clock.cycles[IDLE] += numbers.last_cycle - slots[slot].since
+        clock.cycles[SPENT_IDLE] += numbers.last_cycle - slots[slot].since
         slots[slot].since = numbers.last_cycle
     return True
 
@@ -111,8 +111,8 @@ def _advance(rows, unit, machine, clock, parameters, slot, now):
     ray, numbers, tree = clock.slots[slot], clock.numbers[0], machine.tree
     ray.due = NEVER
     while True:
-        if ray.event == VISIT:
-            if ray.last_kind == KIND_LEAF:
+        if ray.event == VISIT_DUE:
+            if ray.last_kind == LEAF:
                 hooks.on_leaf_end(unit, machine, slot)
             if ray.row == ray.end:
                 _end_ray(unit, machine, clock, slot, now)
@@ -131,19 +131,19 @@ def _advance(rows, unit, machine, clock, parameters, slot, now):
                 return
             if _after_box(machine, clock, parameters, slot, now, now):
                 return
-        elif ray.event == LEAF:
+        elif ray.event == LEAF_DUE:
             start = now
             if parameters.n_units > 0:
                 start = _take_unit(clock, now, np.int64(tree.n_prims[ray.last_node]) * parameters.every)
-                clock.cycles[UNIT] += start - now
-            ray.event = TEST
+                clock.cycles[SPENT_UNIT] += start - now
+            ray.event = TEST_DUE
             if start > now:
                 _schedule(clock, slot, now, start)
                 return
-        elif ray.event == TEST:
+        elif ray.event == TEST_DUE:
             took = _test_cycles(parameters, np.int64(tree.n_prims[ray.last_node]))
             _count_test(clock, slot, now, took)
-            ray.event = VISIT
+            ray.event = VISIT_DUE
             ray.row += 1
             hooks.on_leaf(unit, machine, slot, ray.last_node)
             if took > 0:
@@ -161,7 +161,7 @@ def _test_cycles(parameters, n_prims):
 
 @inlined
 def _count_test(clock, slot, start, took):
-    clock.cycles[TRIANGLE] += took
+    clock.cycles[SPENT_TRIANGLE] += took
     note(clock, start, took, slot, LOG_TRIANGLES, clock.slots[slot].last_node, clock.slots[slot].number)
 
 
@@ -182,11 +182,11 @@ def _take_unit(clock, now, busy):
 def _after_box(machine, clock, parameters, slot, now, cycle):
     """Set the slot's event after its box test, which ends in ``cycle``; return whether it is later than ``now``."""
     ray = clock.slots[slot]
-    n_prims = np.int64(machine.tree.n_prims[ray.last_node]) if ray.last_kind == KIND_LEAF else np.int64(0)
+    n_prims = np.int64(machine.tree.n_prims[ray.last_node]) if ray.last_kind == LEAF else np.int64(0)
     if n_prims > 0 and (parameters.watches_leaves or parameters.n_units > 0 or parameters.by == BY_LEAF):
-        ray.event = LEAF
+        ray.event = LEAF_DUE
     else:
-        ray.event = VISIT
+        ray.event = VISIT_DUE
         ray.row += 1
         if n_prims > 0:
             took = _test_cycles(parameters, n_prims)
@@ -204,12 +204,12 @@ def _step_stack(unit, machine, clock, parameters, slot, node):
     ray, sp = clock.slots[slot], machine.sp
     if ray.last_kind < 0:
         return
-    if ray.last_kind == KIND_PUSH:
+    if ray.last_kind == PUSH:
         machine.stack[slot, sp[slot]] = ((node - 1) ^ 1) + 1
         machine.pushed_at[slot, sp[slot]] = ray.row - 1
         sp[slot] += 1
         hooks.on_push(unit, machine, slot)
-    elif ray.last_kind == KIND_LEAF or not parameters.follows or machine.tree.parent[node] != ray.last_node:
+    elif ray.last_kind == LEAF or not parameters.follows or machine.tree.parent[node] != ray.last_node:
         height = sp[slot] - 1
         while parameters.skips and machine.stack[slot, height] != node:
             height -= 1
@@ -223,9 +223,9 @@ def _start_ray(rows, unit, machine, clock, slot, now):
     ray, numbers = clock.slots[slot], clock.numbers[0]
     number = ray.number + 1
     n_rays = rows.first_ray + rows.waits_for.size
-    if number == 0 or number >= n_rays or rows.waits_for[number - rows.first_ray] != -2:  # no shadow ray of the last
+    if number == 0 or number >= n_rays or rows.waits_for[number - rows.first_ray] != THE_RAY_BEFORE:
         number = numbers.next_ray
-        while number < n_rays and rows.waits_for[number - rows.first_ray] == -2:
+        while number < n_rays and rows.waits_for[number - rows.first_ray] == THE_RAY_BEFORE:
             number += 1
         numbers.next_ray = number
         if number >= n_rays:
@@ -235,16 +235,16 @@ def _start_ray(rows, unit, machine, clock, slot, now):
     ray.type = rows.types[number - rows.first_ray]
     ray.row, ray.end = rows.first[number - rows.first_ray], rows.first[number - rows.first_ray + 1]
     ray.last_kind = -1
-    ray.event = VISIT
+    ray.event = VISIT_DUE
     ray.started = now
     machine.sp[slot], machine.ray[slot] = 0, number
-    clock.cycles[IDLE] += now - ray.since
+    clock.cycles[SPENT_IDLE] += now - ray.since
     ray.since = now
     hooks.on_start(unit, machine, slot)
     primary = rows.waits_for[number - rows.first_ray]
     if primary >= 0:
         for other in range(clock.slots.size):
-            if other != slot and clock.slots[other].number == primary and clock.slots[other].event != FREE:
+            if other != slot and clock.slots[other].number == primary and clock.slots[other].event != RAY_DUE:
                 clock.slots[other].waiter = slot
                 return False
     return True
@@ -255,14 +255,14 @@ def _end_ray(unit, machine, clock, slot, now):
     """Note that the ray of a slot has ended; a shadow ray that waited for it starts in the next cycle."""
     ray = clock.slots[slot]
     hooks.on_end(unit, machine, slot)
-    ray.event = FREE
+    ray.event = RAY_DUE
     ray.since = now
     clock.numbers[0].last_cycle = now
     clock.numbers[0].n_ended += 1
     waiter = ray.waiter
     if waiter >= 0:
         ray.waiter = -1
-        clock.cycles[IDLE] += now + 1 - clock.slots[waiter].since
+        clock.cycles[SPENT_IDLE] += now + 1 - clock.slots[waiter].since
         _schedule(clock, waiter, now, now + 1)
 
 
@@ -277,11 +277,11 @@ def _use_port(unit, machine, clock, parameters, now):
         line = np.int64(machine.tree.first_line[ray.last_node]) + ray.lines_done
         if ray.seen < 0:
             ray.seen = now
-            clock.cycles[PORT] += now - ray.since
+            clock.cycles[SPENT_PORT] += now - ray.since
         if not read(unit, machine, clock, parameters, slot, line, now):
             port.blocked = -1
             return
-        clock.cycles[MSHR] += now - ray.seen
+        clock.cycles[SPENT_MSHR] += now - ray.seen
         ray.seen, ray.since = -1, now
         ray.lines_done += 1
         free -= 1
@@ -290,7 +290,7 @@ def _use_port(unit, machine, clock, parameters, now):
         numbers.queue_head = after(numbers.queue_head, clock.queue.size)
         numbers.n_queued -= 1
         clock.cycles[ray.data_from] += ray.data_at - now
-        clock.cycles[BOX] += parameters.box
+        clock.cycles[SPENT_BOX] += parameters.box
         note(clock, now, ray.data_at - now, slot, LOG_READ, ray.last_node, ray.number * N_CAUSES + ray.data_from)
         note(clock, ray.data_at, parameters.box, slot, LOG_BOX, ray.last_node, ray.number)
         _after_box(machine, clock, parameters, slot, now, ray.data_at + parameters.box)

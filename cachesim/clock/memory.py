@@ -7,9 +7,9 @@ from cachesim.clock.state import (
     BY_LEAF,
     BY_LEVEL,
     BY_RAY,
-    HIT,
-    LATE,
-    MISS,
+    SPENT_HIT,
+    SPENT_LATE,
+    SPENT_MISS,
     T_EVICTED,
     T_FILLED,
     T_JOINED,
@@ -18,16 +18,14 @@ from cachesim.clock.state import (
     T_READS,
     T_REDUNDANT,
     T_TIMELY,
-    VISIT,
+    VISIT_DUE,
 )  # fmt: skip
 from cachesim.fast_lru import set_of
 from cachesim.policies import hooks
-from cachesim.policies.machine import FIRST_USE, IN_FLIGHT, LOST, PUSHED_OUT, RESIDENT, UNUSED
-from cachesim.policies.machine import HIT as FOUND
-from cachesim.policies.machine import MISS as NOT_FOUND
+from cachesim.policies.machine import FIRST_USE, HIT, IN_FLIGHT, LOST, MISS, PUSHED_OUT, RESIDENT, UNUSED
 from cachesim.replacement import insert, refresh
 from nptrace_base.jit import inlined, kernel
-from traces.format import LEAF as KIND_LEAF
+from traces.format import LEAF
 
 
 @inlined
@@ -65,7 +63,7 @@ def read(unit, machine, clock, parameters, slot, line, now):
     status, numbers, ray = machine.status, clock.numbers[0], clock.slots[slot]
     state, of_read = status[line], T_READS
     hit_at = now + parameters.hit
-    ready, cause, outcome = hit_at, HIT, FOUND
+    ready, cause, outcome = hit_at, SPENT_HIT, HIT
     if parameters.is_perfect:
         numbers.hits += 1
     elif state & (RESIDENT | IN_FLIGHT):
@@ -80,7 +78,7 @@ def read(unit, machine, clock, parameters, slot, line, now):
             numbers.waited += ready - hit_at
             if ready > hit_at:
                 numbers.late += 1
-                cause = LATE
+                cause = SPENT_LATE
                 _tally(clock, parameters, line, T_LATE)
             else:
                 numbers.timely += 1
@@ -88,7 +86,7 @@ def read(unit, machine, clock, parameters, slot, line, now):
                 _tally(clock, parameters, line, T_TIMELY)
         elif ready > hit_at:
             numbers.joined_by_demand += 1
-            cause, of_read = MISS, T_MISSES
+            cause, of_read = SPENT_MISS, T_MISSES
         else:
             numbers.hits += 1
     else:
@@ -97,7 +95,7 @@ def read(unit, machine, clock, parameters, slot, line, now):
         numbers.pollution += np.int64(state & PUSHED_OUT != 0)
         numbers.misses += 1
         of_read = T_MISSES
-        ready, cause, outcome = _ask_memory(machine, clock, parameters, line, now), MISS, NOT_FOUND
+        ready, cause, outcome = _ask_memory(machine, clock, parameters, line, now), SPENT_MISS, MISS
     if parameters.by:
         of = _class_of(machine, clock, parameters, slot, ray.last_node, line, T_READS)
         clock.tally[of, T_READS] += 1
@@ -175,7 +173,7 @@ def _class_of(machine, clock, parameters, slot, node, line, what):
     if what == T_READS:
         return np.int64(0)
     if parameters.by == BY_LEAF:
-        is_testing = clock.slots[own].last_kind == KIND_LEAF and clock.slots[own].event == VISIT
+        is_testing = clock.slots[own].last_kind == LEAF and clock.slots[own].event == VISIT_DUE
         return np.int64(machine.tree.n_prims[clock.slots[own].last_node]) if is_testing else np.int64(0)
     for place in range(machine.sp[own]):
         if machine.stack[own, machine.sp[own] - 1 - place] == node:

@@ -16,7 +16,7 @@ from cachesim.clock.state import Rows
 from cachesim.clock.stretches import NOTHING, Stretches
 from cachesim.clock.timing import Job, Workshop, check, timed_policy
 from cachesim.config import CacheConfig
-from cachesim.policies.machine import Tree
+from cachesim.policies.machine import NodeColumns
 from cachesim.prefetch import Prefetch
 from cachesim.sampling.two_phase import t_quantile
 from cachesim.source import RunSource
@@ -129,7 +129,7 @@ def time_sample(
     return found
 
 
-def _reads(tree: Tree, rows: Rows) -> int:
+def _reads(tree: NodeColumns, rows: Rows) -> int:
     """Return the lines that all demand reads of a run look up."""
     return int(np.sum(tree.n_lines[rows.nodes], dtype=np.int64))
 

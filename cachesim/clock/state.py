@@ -10,7 +10,7 @@ from cachesim.policies.machine import Machine, lowest_on_lines
 from cachesim.replacement import Lists, make_lists
 
 #: What a ray in flight does in a cycle; every cycle of every slot is one of them.
-BOX, TRIANGLE, HIT, MISS, LATE, PORT, MSHR, UNIT, IDLE = range(9)
+SPENT_BOX, SPENT_TRIANGLE, SPENT_HIT, SPENT_MISS, SPENT_LATE, SPENT_PORT, SPENT_MSHR, SPENT_UNIT, SPENT_IDLE = range(9)
 CYCLES = ("box test", "triangle test", "hit", "demand miss", "late prefetch", "port", "MSHR full", "unit busy", "idle")
 
 #: What a tally is kept by, and its columns: lines looked up by reads, those that missed, and requests with what became of
@@ -21,7 +21,7 @@ TALLY = ("reads", "misses", "late", "timely", "redundant", "joined", "filled", "
 T_READS, T_MISSES, T_LATE, T_TIMELY, T_REDUNDANT, T_JOINED, T_FILLED, T_EVICTED = map(np.int64, range(len(TALLY)))
 
 #: What the next event of a slot is.
-VISIT, LEAF, TEST, FREE = range(4)
+VISIT_DUE, LEAF_DUE, TEST_DUE, RAY_DUE = range(4)
 
 #: A ray in flight. ``event`` is what is due in cycle ``due``; ``row`` and ``end`` are rows of the demand stream, ``number``
 #: its ray's number, ``started`` the cycle of its start, ``waiter`` the slot whose shadow ray waits for its end.

@@ -17,7 +17,7 @@ from cachesim.config import CacheConfig
 from cachesim.fast_lru import set_mask
 from cachesim.layout import Layout
 from cachesim.policies import Facts, Policy
-from cachesim.policies.machine import UNUSED, Machine, Tree, make_machine
+from cachesim.policies.machine import UNUSED, Machine, NodeColumns, make_machine
 from cachesim.prefetch import Prefetch, parse_prefetch
 from cachesim.result import ratio
 from cachesim.source import RunSource, Source, as_source
@@ -138,18 +138,18 @@ class Job:
         """The lowest ray whose rows may still be read."""
         slots = self.clock.slots
         number, event = slots["number"], slots["event"]
-        begun = number[number >= 0] + (event[number >= 0] == clock_kernel.FREE)
+        begun = number[number >= 0] + (event[number >= 0] == clock_kernel.RAY_DUE)
         return int(min(begun.min(initial=1 << 62), self.clock.numbers[0].next_ray))
 
 
-def tree_of(source: RunSource, line_bytes: int) -> tuple[Tree, int]:
+def tree_of(source: RunSource, line_bytes: int) -> tuple[NodeColumns, int]:
     """Return the nodes of a source with the lines of each, and the number of lines."""
     columns = source.run.columns("nodes", ["n_prims", "level", "parent", "axis"])
     lines = source.lines(line_bytes, 0)
     first, n_lines = lines.of_nodes()
     if not source.run.footer.tree.node_format.reads_leaves:
         n_lines[columns["axis"] == 3] = 0
-    tree = Tree(
+    tree = NodeColumns(
         np.ascontiguousarray(columns["n_prims"], np.uint32), np.ascontiguousarray(columns["level"], np.uint16),
         np.ascontiguousarray(columns["parent"], np.int32), first, n_lines,
     )  # fmt: skip
@@ -261,7 +261,7 @@ class Workshop:
         is_whole: bool = True,
     ) -> None:  # fmt: skip
         self.source, self._threads, self._progress, self._by = source, threads, progress, BY.index(by)
-        self._trees: dict[int, tuple[Tree, int]] = {}
+        self._trees: dict[int, tuple[NodeColumns, int]] = {}
         self._boxes = source.run.footer.tree.node_format.boxes
         self._rays = cache(lambda: traced_rays(source.run)) if is_whole else None
 
@@ -309,7 +309,7 @@ class Workshop:
         assert policy.make_unit is not None
         return policy.make_unit(machine, facts, **options, **({"scouted": scout.unit} if scout else {}))
 
-    def tree(self, line_bytes: int) -> tuple[Tree, int]:
+    def tree(self, line_bytes: int) -> tuple[NodeColumns, int]:
         """Return ``tree_of`` the source, which is read once; not by several threads at a time."""
         if line_bytes not in self._trees:
             self._trees[line_bytes] = tree_of(self.source, line_bytes)

@@ -28,7 +28,7 @@ PORT = np.dtype(
 )
 
 
-class Tree(NamedTuple):
+class NodeColumns(NamedTuple):
     """Columns of the nodes.
 
     Attributes
@@ -56,7 +56,7 @@ class Machine(NamedTuple):
 
     Attributes
     ----------
-    tree : Tree
+    tree : NodeColumns
     stack : (n_slots, depth) int64
         Nodes on the stack of each slot, bottom first.
     pushed_at : (n_slots, depth) int64
@@ -80,7 +80,7 @@ class Machine(NamedTuple):
         because the ray came first.
     """
 
-    tree: Tree
+    tree: NodeColumns
     stack: np.ndarray
     pushed_at: np.ndarray
     sp: np.ndarray
@@ -92,7 +92,7 @@ class Machine(NamedTuple):
     port: np.ndarray
 
 
-def lowest_on_lines(tree: Tree, values: np.ndarray, n_lines: int, none: int) -> np.ndarray:
+def lowest_on_lines(tree: NodeColumns, values: np.ndarray, n_lines: int, none: int) -> np.ndarray:
     """Return for each line the lowest of its nodes' values, (n_nodes,) int64; ``none`` where no node lies that is read."""
     lowest = np.full(n_lines, none, np.int64)
     enter_lowest(tree.first_line, tree.n_lines, values, lowest)
@@ -108,7 +108,7 @@ def enter_lowest(first_line, n_lines, values, lowest):
             lowest[line] = min(lowest[line], values[node])
 
 
-def make_machine(tree: Tree, n_slots: int, n_lines: int = 0) -> Machine:
+def make_machine(tree: NodeColumns, n_slots: int, n_lines: int = 0) -> Machine:
     """Return a machine in which nothing has happened; without a clock, ``n_lines`` is 0."""
     depth = max(int(tree.level.max()), 1)  # at most one entry per level above
     waiting = np.full((2, n_slots + 2), -1, np.int64)

@@ -19,7 +19,7 @@ from nptrace.table1_study.plan import StudyJob, plan
 from nptrace.table1_study.traced import traced
 from nptrace_base.atomic import whole_file
 from nptrace_base.records import write_parquet
-from nptrace_base.sources import digest_of
+from nptrace_base.source_files import digest_of
 
 
 @click.command()

@@ -12,6 +12,8 @@ from rtrace.traversers.common import (
     KIND_BITS,
     LEAF,
     LEAF_AXIS,
+    LINK_CHILD,
+    LINK_META,
     LINK_WORDS,
     LINKS,
     ONE,
@@ -40,7 +42,7 @@ def _request_inner(events, n_events, links, stack, pp):
     while pp > ZERO:
         pp -= ONE
         node = np.uint64(stack[pp])
-        if np.uint64(links[_links_at(node) + ONE]) & AXIS_MASK != LEAF_AXIS:
+        if np.uint64(links[_links_at(node) + LINK_META]) & AXIS_MASK != LEAF_AXIS:
             events[n_events] = node << KIND_BITS | PREFETCH
             n_events += ONE
     return n_events
@@ -80,7 +82,7 @@ def trace_bvh64(tree, rays, any_hit, first, hits, count, events):
         sp, pp, node = ZERO, ZERO, ZERO
         link = _links_at(node)
         while True:
-            child, m = np.uint64(links[link]), np.uint64(links[link + ONE])
+            child, m = np.uint64(links[link + LINK_CHILD]), np.uint64(links[link + LINK_META])
             axis = m & AXIS_MASK
             if axis != LEAF_AXIS:
                 at = (child + ONE >> ONE) * PAIR_WORDS

@@ -31,9 +31,12 @@ KD_WORDS, SPLIT, FIRST, KD_META, BVH_WORDS, LOWER, UPPER, CHILD, META = (
         *("BVH_WORDS", "LOWER", "UPPER", "CHILD", "META"),
     )
 )
-PAIR_WORDS, FACE_WORDS, LINKS, LINK_WORDS, AXIS_BITS, AXIS_MASK, LEAF_AXIS = (
+PAIR_WORDS, FACE_WORDS, LINKS, LINK_WORDS, LINK_CHILD, LINK_META, AXIS_BITS, AXIS_MASK, LEAF_AXIS = (
     np.uint64(getattr(layout, name))
-    for name in ("PAIR_WORDS", "FACE_WORDS", "LINKS", "LINK_WORDS", "AXIS_BITS", "AXIS_MASK", "LEAF_AXIS")
+    for name in (
+        *("PAIR_WORDS", "FACE_WORDS", "LINKS", "LINK_WORDS", "LINK_CHILD", "LINK_META"),
+        *("AXIS_BITS", "AXIS_MASK", "LEAF_AXIS"),
+    )
 )
 READ, PUSH, LEAF, PREFETCH = map(np.uint64, (run_format.READ, run_format.PUSH, run_format.LEAF, run_format.PREFETCH))
 #: Low bits of an event: the kind of the access; above them the node.

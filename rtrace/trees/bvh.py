@@ -35,6 +35,8 @@ from rtrace.trees.tree import (
 )
 
 BOX_FLOATS = 6  # lower x, y, z, upper x, y, z
+#: Columns of the nodes that wait: which one, its span of every order, its level.
+_NODE, _START, _END, _LEVEL = range(4)
 _INF = np.float32(np.inf)
 #: The empty box: its union with another box is that box.
 _EMPTY = (_INF, _INF, _INF, -_INF, -_INF, -_INF)
@@ -176,13 +178,14 @@ def _build(orders, boxes, goes_right, span, nodes, words, prims, rules, is_one_s
     trav, min_leaf, max_leaf = rules
     right_area = np.empty(stop - first, np.float64)
     scratch = np.empty(stop - first, np.int32)
-    todo = np.empty((stop - first + 1, 4), np.int64)  # node, start, end, level
-    todo[0, 0], todo[0, 1], todo[0, 2], todo[0, 3] = 0, first, stop, root_level
+    todo = np.empty((stop - first + 1, 4), np.int64)
+    todo[0, _NODE], todo[0, _LEVEL], todo[0, _START], todo[0, _END] = 0, root_level, first, stop
     n_todo, n_nodes, max_level = 1, np.int64(1), root_level
     _write_box(orders[:n], first, stop, boxes, nodes, np.int64(0))
     while n_todo > 0:
         n_todo -= 1
-        node, start, end, level = todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3]
+        node, level = todo[n_todo, _NODE], todo[n_todo, _LEVEL]
+        start, end = todo[n_todo, _START], todo[n_todo, _END]
         max_level = max(max_level, level)
         w, count = BVH_WORDS * node, end - start
         box = _box_of(nodes, node)
@@ -212,9 +215,11 @@ def _build(orders, boxes, goes_right, span, nodes, words, prims, rules, is_one_s
         words[BVH_WORDS * n_nodes + CHILD] = position  # until the left child is built: where its triangles end
         _write_box(order, start, position, boxes, nodes, n_nodes)
         _write_box(order, position, end, boxes, nodes, n_nodes + 1)
-        todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes + 1, position, end, level + 1
+        todo[n_todo, _NODE], todo[n_todo, _LEVEL] = n_nodes + 1, level + 1
+        todo[n_todo, _START], todo[n_todo, _END] = position, end
         n_todo += 1
-        todo[n_todo, 0], todo[n_todo, 1], todo[n_todo, 2], todo[n_todo, 3] = n_nodes, start, position, level + 1
+        todo[n_todo, _NODE], todo[n_todo, _LEVEL] = n_nodes, level + 1
+        todo[n_todo, _START], todo[n_todo, _END] = start, position
         n_todo += 1
         n_nodes += 2
         if is_one_step:

@@ -112,8 +112,8 @@ def _split_cell(vertices, events, cells, cell, plane, scratch, far):
 def _build(vertices, events, tree, cells, scratch, limits, state, is_one_step):
     """Split cells until none waits (_DONE) or an array is too short for the next step: let it grow and call again.
 
-    Costs are counted in intersections: ``limits`` is (c_trav / c_isect, empty_bonus, max_level, max_refs,
-    the limit of ``strays``, min_leaf, max_leaf). ``is_one_step``: split one cell and leave its children waiting.
+    Costs are counted in intersections; ``limits`` is a ``Limits``. ``is_one_step``: split one cell and leave its children
+    waiting.
     """
     trav, empty_bonus, max_level, max_refs, far, min_leaf, max_leaf = limits
     costs = trav, empty_bonus
@@ -195,6 +195,29 @@ class Cell(NamedTuple):
     n_refs: int
 
 
+class Limits(NamedTuple):
+    """What the builder weighs and may not exceed, as the kernel takes it; costs are in intersections.
+
+    Attributes
+    ----------
+    trav : float
+        c_trav / c_isect.
+    empty_bonus : float
+    max_level, max_refs : int
+    far : float
+        The limit of ``strays``.
+    min_leaf, max_leaf : int
+    """
+
+    trav: float
+    empty_bonus: float
+    max_level: int
+    max_refs: int
+    far: float
+    min_leaf: int
+    max_leaf: int
+
+
 class Subtree(NamedTuple):
     """What is built of a cell."""
 
@@ -205,15 +228,15 @@ class Subtree(NamedTuple):
 
 
 def subtree(
-    vertices: np.ndarray, cell: Cell, limits: tuple[float, ...], ceiling: int, is_one_step: bool
+    vertices: np.ndarray, cell: Cell, limits: Limits, ceiling: int, is_one_step: bool
 ) -> tuple[Subtree, list[Cell]]:  # fmt: skip
     """Build the subtree of a cell, or split it once; return what is built and the children of a cell that was split once.
 
     A split node has its children's places, and nothing in them.
     """
-    n, max_level = len(vertices) // 9, int(limits[2])
+    n = len(vertices) // 9
     events, counts, box, level, n_refs = cell
-    room = max_level + 2 - level
+    room = limits.max_level + 2 - level
     int64 = partial(np.empty, dtype=np.int64)
     cells = _Cells(
         node=int64(room), level=int64(room), n_refs=int64(room), ceiling=int64(room),

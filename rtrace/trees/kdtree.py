@@ -16,12 +16,12 @@ import numpy as np
 
 from nptrace_base.errors import NptraceError
 from nptrace_base.jit import kernel
-from rtrace.trees.kd_cells import Cell, Subtree, subtree
+from rtrace.trees.kd_cells import Cell, Limits, Subtree, subtree
 from rtrace.trees.kd_events import BOX, TRIANGLE, UPPER, first_events
 from rtrace.trees.kd_sweep import half_area_of
 from rtrace.trees.leaf_rules import leaf_rules, limits_given
 from rtrace.trees.strays import make_room
-from rtrace.trees.subtrees import Part, build_in_parts, part_limit, placed
+from rtrace.trees.subtrees import TreePart, build_in_parts, part_limit, placed
 from rtrace.trees.tree import (
     AXIS_BITS,
     AXIS_MASK,
@@ -53,7 +53,7 @@ def _check_options(n, empty_bonus, max_level, max_refs):
             raise NptraceError(f"{name} must be {rule}; got {given}")
 
 
-def _joined(root: Part[Subtree]) -> Subtree:
+def _joined(root: TreePart[Subtree]) -> Subtree:
     """Put the parts of a tree together."""
     if not root.children:
         return root.built
@@ -75,14 +75,14 @@ def _joined(root: Part[Subtree]) -> Subtree:
 
 
 def _built(
-    vertices: np.ndarray, extent: tuple[np.ndarray, np.ndarray, np.ndarray], limits: tuple[float, ...], threads: int
+    vertices: np.ndarray, extent: tuple[np.ndarray, np.ndarray, np.ndarray], limits: Limits, threads: int
 ) -> Subtree:  # fmt: skip
     """Return the nodes over all triangles; ``extent``: lower and upper corners of their boxes, and the box of all.
 
     Parts cannot share a ceiling of references. Below half of it, it has no effect, so the tree is that of one part.
     """
     lower, upper, bounds = extent
-    n, max_refs = len(lower), int(limits[3])
+    n, max_refs = len(lower), limits.max_refs
 
     def first_cell() -> Cell:
         events, counts = first_events(lower, upper)
@@ -160,7 +160,7 @@ def build_kdtree(
     extent = make_room(triangles, lower, upper)
 
     vertices = triangles.reshape(-1)
-    limits = leaf.trav, float(empty_bonus), int(max_level), int(max_refs), extent.limit, leaf.min_leaf, leaf.max_leaf
+    limits = Limits(leaf.trav, float(empty_bonus), int(max_level), int(max_refs), extent.limit, leaf.min_leaf, leaf.max_leaf)
 
     built = _built(vertices, (lower, upper, extent.bounds), limits, threads)
     del lower, upper

@@ -24,12 +24,12 @@ _B = TypeVar("_B", bound=_Built)
 _S = TypeVar("_S")
 
 
-class Part(Generic[_B]):
+class TreePart(Generic[_B]):
     """A subtree that is built, or a node that was split alone, with the parts of its children."""
 
     def __init__(self, built: _B) -> None:
         self.built = built
-        self.children: list[Future[Part[_B]]] = []
+        self.children: list[Future[TreePart[_B]]] = []
 
 
 def part_limit(n: int, threads: int) -> int:
@@ -40,7 +40,7 @@ def part_limit(n: int, threads: int) -> int:
 
 def build_in_parts(
     step: Callable[[_S, bool], tuple[_B, Sequence[_S]]], whole: _S, size: Callable[[_S], int], threads: int
-) -> Part[_B]:  # fmt: skip
+) -> TreePart[_B]:  # fmt: skip
     """Build the tree of ``whole`` in parts, by threads.
 
     Parameters
@@ -54,9 +54,9 @@ def build_in_parts(
     most = part_limit(size(whole), threads)
     with thread_pool(threads) as pool:
 
-        def part_of(source: _S) -> Part[_B]:
+        def part_of(source: _S) -> TreePart[_B]:
             built, children = step(source, size(source) > most)
-            part = Part(built)
+            part = TreePart(built)
             part.children = [pool.submit(part_of, child) for child in children]
             return part
 
@@ -68,7 +68,7 @@ def build_in_parts(
         return root.result()
 
 
-def placed(root: Part[_B]) -> Iterator[tuple[Part[_B], int, int]]:
+def placed(root: TreePart[_B]) -> Iterator[tuple[TreePart[_B], int, int]]:
     """Yield the parts depth-first, each with the number of its root and that of the first of its other nodes."""
     n, waiting = 1, [(root, 0)]
     while waiting:

@@ -44,6 +44,7 @@ SPLIT, FIRST, KD_META = 0, 0, 1
 LOWER, UPPER, CHILD, META = 0, 3, 6, 7
 #: The same of a pair: where the faces of an axis and the links of a sibling begin, and how many words they have.
 PAIR_WORDS, FACE_WORDS, LINKS, LINK_WORDS = BVH_PAIR.itemsize // 4, 6, 18, 2
+LINK_CHILD, LINK_META = 0, 1
 
 #: Most nodes of a tree, whose numbers have 30 bits in an access as in a node, and its deepest level, a uint16.
 MOST_NODES, MOST_LEVEL = 1 << 30, 65535

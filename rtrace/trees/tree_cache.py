@@ -25,7 +25,7 @@ from nptrace_base.atomic import replacing
 from nptrace_base.errors import NptraceError
 from nptrace_base.folders import private_folder
 from nptrace_base.jit import versions
-from nptrace_base.sources import digest_of
+from nptrace_base.source_files import digest_of
 from rtrace.scenes.scene import Scene
 from rtrace.trees.bvh import build_bvh
 from rtrace.trees.kdtree import build_kdtree

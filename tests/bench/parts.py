@@ -8,8 +8,8 @@ import pyarrow as pa
 
 from cachesim.access import PREFETCH
 from cachesim.all_associativity import SetCounts
+from cachesim.cache_counts import CacheCounts
 from cachesim.config import CacheConfig
-from cachesim.exact import Exact
 from cachesim.fast_lru import LruCounts
 from cachesim.parts import LEAST_PART
 from cachesim.prefetch import parse_prefetch
@@ -26,10 +26,10 @@ TWO_WAY, MANY_WAYS, CORNERS = (
 
 
 class OfAll:
-    """An ``Exact`` without the parameters that node lines do not need."""
+    """A ``CacheCounts`` without the parameters that node lines do not need."""
 
     def __init__(self, config: CacheConfig, n_ids: int, prefetch: str = "traced") -> None:
-        self._exact, self._n_ids = Exact(config, parse_prefetch(prefetch), three_c=False), n_ids
+        self._exact, self._n_ids = CacheCounts(config, parse_prefetch(prefetch), three_c=False), n_ids
 
     def step(self, lines: np.ndarray, labels: np.ndarray) -> None:
         """Replay some accesses."""

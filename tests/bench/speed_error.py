@@ -81,7 +81,7 @@ class Rows:
             })  # fmt: skip
 
 
-class Exact(NamedTuple):
+class ExactRun(NamedTuple):
     """The exact run: its totals (counts, then misses as in ``ratios_of``), what the filter keeps, and a piece unfiltered."""
 
     totals: np.ndarray
@@ -133,7 +133,7 @@ def accesses(source: RayUnits) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
         yield lines, labels, stretch.n_rays
 
 
-def run_exactly(source: RayUnits, configs: list[CacheConfig]) -> Exact:
+def run_exactly(source: RayUnits, configs: list[CacheConfig]) -> ExactRun:
     """Trace and replay everything, and keep what the filter keeps."""
     direct, replay = DirectFilter(filter_sets(configs), keep_first_use=True), KnownReplay(configs, from_start=True)
     totals = np.zeros(3 + 3 * len(configs))
@@ -155,7 +155,7 @@ def run_exactly(source: RayUnits, configs: list[CacheConfig]) -> Exact:
         start = time.process_time()
     lines, labels = (np.concatenate([k[i] for k in kept]) for i in (0, 1))
     whole = np.concatenate([p[0] for p in piece]), np.concatenate([p[1] for p in piece])
-    return Exact(totals, lines, labels, whole, trace_s, replay_s, n)
+    return ExactRun(totals, lines, labels, whole, trace_s, replay_s, n)
 
 
 def unfiltered(lines: np.ndarray, labels: np.ndarray, configs: list[CacheConfig]) -> None:
@@ -176,7 +176,7 @@ def in_hottest_tenth(lines: np.ndarray, labels: np.ndarray, n_classes: int, conf
     return 100 * float(sum(sorted(misses)[-max(n_classes // 10, 1) :]) / sum(misses))
 
 
-def replays(rows: Rows, exact: Exact, configs: list[CacheConfig]) -> None:
+def replays(rows: Rows, exact: ExactRun, configs: list[CacheConfig]) -> None:
     """Add the exact ways to replay, as timed on the piece."""
     lines, labels = exact.piece
     scale = exact.n / lines.size
@@ -203,7 +203,7 @@ def replays(rows: Rows, exact: Exact, configs: list[CacheConfig]) -> None:
         rows.add(method, parameter, (exact.trace_s + filtered) / (exact.trace_s + seconds), none, filtered / seconds)
 
 
-def set_sampling(rows: Rows, exact: Exact, configs: list[CacheConfig], label: str, n_seeds: int) -> None:
+def set_sampling(rows: Rows, exact: ExactRun, configs: list[CacheConfig], label: str, n_seeds: int) -> None:
     """Add 1/2, 1/4 and 1/8 of the sets: errors on the first accesses that the filter keeps, times on the piece unfiltered."""
     n_classes = filter_sets(configs)
     lines, labels = exact.lines[:KEPT], exact.labels[:KEPT]
@@ -234,7 +234,7 @@ def set_sampling(rows: Rows, exact: Exact, configs: list[CacheConfig], label: st
         rows.add(f"set sampling, {label}", f"1/{every}", gain, collect(errors) | about, filtered / seconds)
 
 
-def hashed_lines(rows: Rows, exact: Exact, n_seeds: int) -> None:
+def hashed_lines(rows: Rows, exact: ExactRun, n_seeds: int) -> None:
     """Add part of the lines for the fully associative curve, 8K to 256K, against exact stack distances."""
     lines, labels = exact.piece
     n_ids, sizes = int(exact.lines.max()) + 1, [256 << k for k in range(6)]
@@ -262,7 +262,7 @@ def hashed_lines(rows: Rows, exact: Exact, n_seeds: int) -> None:
         )  # fmt: skip
 
 
-def row_sampling(rows: Rows, source: RayUnits, exact: Exact, configs: list[CacheConfig], n_seeds: int, most: int) -> None:
+def row_sampling(rows: Rows, source: RayUnits, exact: ExactRun, configs: list[CacheConfig], n_seeds: int, most: int) -> None:
     """Add rows of the picture drawn at random, by their share and by their warm-up; then the estimator itself."""
     counts = UnitCounts(source, configs, 1)
     # A part of the units, drawn once, stands for all: the seeds draw from it, and warm-ups are compared on the same rows.
@@ -296,7 +296,7 @@ def row_sampling(rows: Rows, source: RayUnits, exact: Exact, configs: list[Cache
             rows.add(f"rows at random, {name}", f"1/{part}", exact.seconds / (n * one), collect(errors))
 
 
-def estimator(rows: Rows, source: RayUnits, exact: Exact, configs: list[CacheConfig], n_seeds: int) -> None:
+def estimator(rows: Rows, source: RayUnits, exact: ExactRun, configs: list[CacheConfig], n_seeds: int) -> None:
     """Add ``npcache estimate`` for several targets: errors over seeds from counts kept, time of one run."""
     counts = UnitCounts(source, configs, 1)
     for text in ("10%,0.2pp", "5%,0.1pp", "2%,0.05pp"):
@@ -328,7 +328,7 @@ def estimator(rows: Rows, source: RayUnits, exact: Exact, configs: list[CacheCon
             rows.add("estimate", text, exact.seconds / float(np.median(taken)), collect(errors))
 
 
-def other_pictures(rows: Rows, scene: Scene, kind: str, size: int, exact: Exact, configs: list[CacheConfig]) -> None:
+def other_pictures(rows: Rows, scene: Scene, kind: str, size: int, exact: ExactRun, configs: list[CacheConfig]) -> None:
     """Add lower resolutions, which are no estimate, and cheaper trees."""
     for part in (2, 4):
         lower = run_exactly(RayUnits(scene, cached_tree(scene, kind), Shooting(size // part, size // part)), configs)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from cachesim.access import PREFETCH
 from cachesim.all_associativity import SetCounts
 from cachesim.cache import n_resident_unused
+from cachesim.cache_counts import CacheCounts
 from cachesim.config import CacheConfig
-from cachesim.exact import Exact
 from cachesim.fast_lru import LruCounts
 from cachesim.prefetch import parse_prefetch
 from cachesim.stack_distance import StackDistances
@@ -55,7 +55,7 @@ def exact(n_sets, ways, three_c, is_sequential):
     prefetch = parse_prefetch(f"next-line:always:{AHEAD}" if is_sequential else "traced")
 
     def of(trace):
-        summary = Exact(CacheConfig(n_sets * ways * 16, ways, 16), prefetch, three_c=three_c)
+        summary = CacheCounts(CacheConfig(n_sets * ways * 16, ways, 16), prefetch, three_c=three_c)
         lines, types = columns(trace)
         summary.step(lines, types, lines, lines + np.uint32(AHEAD), N_LINES + AHEAD, None, 0)
         return summary

@@ -11,7 +11,7 @@ SWEEP, OPT = "tests/cachesim/test_sweep.py", "tests/cachesim/test_opt.py"
 FORMAT, FAULTS, FUZZ = "tests/traces/test_format.py", "tests/nptrace/test_faults.py", "tests/test_fuzz.py"
 SW, LE, RE, FI = "cachesim/sweep.py", "cachesim/all_associativity.py", "cachesim/stack_distance.py", "cachesim/filter.py"
 LI, NU, EX, RP = "cachesim/replacement.py", "cachesim/next_use.py", "cachesim/cache.py", "cachesim/replay.py"
-PA, FL, ET, SF = "cachesim/parts.py", "cachesim/fast_lru.py", "cachesim/exact.py", "cachesim/summary_file.py"
+PA, FL, ET, SF = "cachesim/parts.py", "cachesim/fast_lru.py", "cachesim/cache_counts.py", "cachesim/summary_file.py"
 FOLD, PARTS = "tests/cachesim/test_summary.py", "tests/nptrace/test_parts.py"
 KT, KE, KS = "rtrace/trees/kdtree.py", "rtrace/trees/kd_events.py", "rtrace/trees/kd_sweep.py"
 CL, BV, SO = "rtrace/trees/clip.py", "rtrace/trees/bvh.py", "rtrace/trees/merge_sort.py"
@@ -66,7 +66,7 @@ MUTATIONS = [
     Mutation("BVH: the z axis is never tried", BV, "    for k in range(3):\n        cost, position", "    for k in range(2):\n        cost, position", BVH),
     Mutation("BVH: the longest axis is the shortest", BV, "if dx >= dy and dx >= dz:", "if dx <= dy and dx <= dz:", BVH),
     Mutation("BVH: a child's box from its parent's triangles", BV, "_write_box(order, start, position, boxes, nodes, n_nodes)", "_write_box(order, start, end, boxes, nodes, n_nodes)", BVH),
-    Mutation("BVH: the level of a right child is its parent's", BV, "n_nodes + 1, position, end, level + 1", "n_nodes + 1, position, end, level", BVH),
+    Mutation("BVH: the level of a right child is its parent's", BV, "_LEVEL] = n_nodes + 1, level + 1", "_LEVEL] = n_nodes + 1, level", BVH),
     # --- sweep ---
     Mutation("sweep: the upper end of a range is left out", "cachesim/grid.py", "range(int(low), int(high) + 1)", "range(int(low), int(high))", f"{SWEEP} -k range"),
     Mutation("sweep: sizes outside the ranges", "cachesim/grid.py", "any(low <= size <= high for low, high in sizes)", "any(size <= high for low, high in sizes)", f"{SWEEP} -k grid"),
@@ -83,7 +83,7 @@ MUTATIONS = [
     Mutation("sweep: traffic ratio of demand misses alone", SW, '"traffic_ratio": ratio(misses, self.demand_misses_without)', '"traffic_ratio": ratio(self.demand_misses, self.demand_misses_without)', SWEEP),
     Mutation("sweep: full caches through the levels", SW, "several = [config for config in configs if config.n_sets > 1]", "several = [config for config in configs if config.n_sets > 2]", SWEEP),
     # --- levels ---
-    Mutation("levels: the first level is the second", LE, "first, n_levels = min(exponents), max(exponents) - min(exponents) + 1", "first, n_levels = min(exponents) + 1, max(exponents) - min(exponents) + 1", f"{SWEEP} -k cell"),
+    Mutation("levels: the first level is the second", LE, "first, n_exponents = min(exponents), max(exponents) - min(exponents) + 1", "first, n_exponents = min(exponents) + 1, max(exponents) - min(exponents) + 1", f"{SWEEP} -k cell"),
     Mutation("levels: misses from one way less", LE, "self.counts[k, :, config.ways - 1 :]", "self.counts[k, :, config.ways :]", f"{SWEEP} -k cell"),
     Mutation("levels: prefetches among the demand", LE, "(n_depths if access_type >= PREFETCH else ZERO)", "ZERO", f"{SWEEP} -k cell"),
     Mutation("levels: the walk goes on at the newest line", LE, "        if carried == line:\n            break\n", "        if carried == line:\n            pass\n", f"{SWEEP} -k cell"),
@@ -138,7 +138,7 @@ MUTATIONS = [
     Mutation("files: what another host left stays", "nptrace_base/atomic.py", "        return time.time() - written > PATIENCE\n", "        return False\n", LEFT),
     Mutation("files: a pid that was given again keeps files", "nptrace_base/atomic.py", "return _start_of(pid) in (start, 0)", "return True", LEFT),
     Mutation("lines: a node's lines are counted in a byte", "cachesim/lines.py", "return self._first, last - self._first + np.uint32(1)", "return self._first, (last - self._first + np.uint32(1)).astype(np.uint8)", "tests/cachesim/test_limits.py -k node"),
-    Mutation("files: what a killed writer left stays", "nptrace_base/atomic.py", "    _sweep(path)\n", "", f"{FAULTS} -k sweeps"),
+    Mutation("files: what a killed writer left stays", "nptrace_base/atomic.py", "    _delete_left(path)\n", "", f"{FAULTS} -k sweeps"),
     Mutation("format: a damaged picture opens", "traces/reader.py", 'if footer.image_sha256 not in (image, None):', 'if footer.image_sha256 == "":', f"{FAULTS} -k flipped"),
     Mutation("format: pages are not checked", "traces/reader.py", "pq.ParquetFile(handle, page_checksum_verification=True)", "pq.ParquetFile(handle)", FORMAT),
     Mutation("format: a footer that is no object is an error of ours", "traces/footer.py", "if not isinstance(values, dict):", "if False:", "tests/traces/test_footer.py"),
@@ -154,7 +154,7 @@ MUTATIONS = [
     Mutation("fold: a redundant prefetch still waits", ET, "if found & PENDING and not fact & UNUSED:", "if False:", f"{FOLD} -k account"),
     Mutation("fold: an earlier fill does not get the later fate", ET, "if fact & PENDING and not found & PENDING:", "if False:", f"{FOLD} -k account"),
     Mutation("fold: the shadow does not see misses in full sets", ET, "                shadow_access(cache, line_id, fact)\n", "                pass\n", f"{FOLD} -k account"),
-    Mutation("fold: open accesses are walked from the first level", LE, "np.uint64(from_levels[i]), levels)", "ZERO, levels)", f"{FOLD} -k associat"),
+    Mutation("fold: open accesses are walked from the first level", LE, "np.uint64(from_exponents[i]), sets)", "ZERO, sets)", f"{FOLD} -k associat"),
     Mutation("fold: open at its first level alone", LE, "np.cumsum(opened, axis=0)", "opened", f"{FOLD} -k associat"),
     Mutation("fold: the order of last accesses is that of the first", RE, 'whole._use(arrays["order"])', 'whole._use(arrays["first_ids"])', f"{FOLD} -k stack"),
     Mutation("parts: cut anywhere", "traces/run.py", "                if begins.any():\n                    return row + int(begins.argmax())\n", "                return row\n", f"{PARTS} -k share"),
@@ -198,7 +198,7 @@ MUTATIONS = [
     Mutation("flush: a renamed line goes to set 0", "cachesim/flush.py", "taken[residue] * n_sets + residue", "taken[residue] * n_sets", READS_FLUSH),
     Mutation("flush: what is left unused stays resident", "cachesim/flush.py", "        result.useless += result.resident\n", "", READS_FLUSH),
     Mutation("reads: a popped node's children are read again", "cachesim/reads.py", "if parent[node] == last[0] else", "if parent[node] >= 0 else", READS_FLUSH),
-    Mutation("reads: the second line of a node is kept too long", "cachesim/reads.py", "line + count <= last[0] + last[1]", "line < last[0] + last[1]", READS_FLUSH),
+    Mutation("reads: the second line of a node is kept too long", "cachesim/reads.py", "line + count <= last[_FIRST] + last[_COUNT]", "line < last[_FIRST] + last[_COUNT]", READS_FLUSH),
     Mutation("reads: a request is merged", "cachesim/reads.py", "        if access_types[i] != REQUEST:\n            if node == 0 and", "        if True:\n            if node == 0 and", READS_FLUSH),
     Mutation("stack: persist never moves up", "cachesim/policies/stack.py", "self.reset != PERSIST or self.pointer[slot] == machine.sp[slot] - 1", "self.reset != PERSIST", UNTIMED),
     Mutation("stack: restart does not", "cachesim/policies/stack.py", "    if unit.reset == RESTART:\n", "    if False:\n", UNTIMED),

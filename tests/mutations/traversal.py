@@ -88,7 +88,7 @@ MUTATIONS = [
     Mutation("bvh64: the far child is lost when the near one is missed", "rtrace/traversers/bvh64.py",
              "if meets_far:\n                    node, link = far, far_link\n                    continue", "if meets_near:\n                    continue", f"{TRAVERSE} -k bvh64"),
     Mutation("bvh64: leaves on the stack are requested", "rtrace/traversers/bvh64.py",
-             "if np.uint64(links[_links_at(node) + ONE]) & AXIS_MASK != LEAF_AXIS:", "if True:", f"{TRAVERSE} -k bvh64"),
+             "if np.uint64(links[_links_at(node) + LINK_META]) & AXIS_MASK != LEAF_AXIS:", "if True:", f"{TRAVERSE} -k bvh64"),
     Mutation("bvh64: boxes without their margin at the nearer faces", "rtrace/traversers/bvh64.py",
              "seen_x, seen_y, seen_z = pack_halves(ox + px,", "seen_x, seen_y, seen_z = pack_halves(ox,", f"{TRAVERSE} -k bvh64"),
     Mutation("bvh64: boxes without their margin at the farther faces", "rtrace/traversers/bvh64.py", "pack_halves(oz + pz, oz - pz)", "pack_halves(oz + pz, oz)", f"{TRAVERSE} -k bvh64"),

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from nptrace_base.sources import ROOT
+from nptrace_base.source_files import ROOT
 
 PACKAGES = ("traces", "rtrace", "cachesim")
 

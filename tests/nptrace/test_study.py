@@ -12,7 +12,7 @@ from nptrace import studies
 from nptrace import study as module
 from nptrace.study import read_study, run_study
 from nptrace_base.errors import NptraceError
-from nptrace_base.sources import closure
+from nptrace_base.source_files import closure
 from tests.nptrace.test_terminal import inputs
 
 ROOT = Path(cli.__file__).resolve().parent
@@ -107,7 +107,7 @@ def test_rows_of_another_version_are_counted_again(folder, monkeypatch):
     monkeypatch.setattr(studies, "replayed", lambda *args, **options: counted.append(1) or real(*args, **options))
     rows = run_study(study)
     assert run_study(study) == rows and len(counted) == 2 * 4
-    source = ROOT / "cachesim" / "exact.py"
+    source = ROOT / "cachesim" / "cache_counts.py"
     assert source in closure([Path(studies.__file__)])
     read = Path.read_bytes
     monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == source))

@@ -10,7 +10,7 @@ from pathlib import Path
 import numba
 import pytest
 
-from nptrace_base import compiling, jit, sources
+from nptrace_base import compiling, jit, source_files
 from nptrace_base.folders import private_folder
 from nptrace_base.jit import _Files
 from rtrace.trees import tree_cache
@@ -138,7 +138,7 @@ def test_importing_touches_no_folder(tmp_path):
 DIGESTS = """
 from nptrace_base.jit import kernel_digest, _stamp
 from rtrace.trees.tree_cache import _builder_digest
-from nptrace_base.sources import ROOT
+from nptrace_base.source_files import ROOT
 print(kernel_digest(), _builder_digest(), _stamp(ROOT / "cachesim/source.py"), _stamp(ROOT / "cachesim/replacement.py"))
 """
 
@@ -213,8 +213,8 @@ def test_what_a_file_imports_is_found_as_python_finds_it():
             elif isinstance(node, ast.ImportFrom):
                 assert node.level == 0
                 names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        ours = {name for name in names if name.partition(".")[0] in sources.OURS}
-        assert set(sources._names(path.read_text(encoding="utf-8"))) == ours, path
+        ours = {name for name in names if name.partition(".")[0] in source_files.OURS}
+        assert set(source_files._names(path.read_text(encoding="utf-8"))) == ours, path
 
 
 def test_a_tree_is_not_taken_from_a_folder_of_others(tmp_path, monkeypatch):
@@ -236,17 +236,17 @@ def test_a_tree_is_not_taken_from_a_folder_of_others(tmp_path, monkeypatch):
 @pytest.fixture
 def root(tmp_path, monkeypatch):
     """An empty folder instead of that of our packages."""
-    monkeypatch.setattr(sources, "ROOT", tmp_path)
-    sources._files.cache_clear()
+    monkeypatch.setattr(source_files, "ROOT", tmp_path)
+    source_files._files.cache_clear()
     yield tmp_path
-    sources._files.cache_clear()
+    source_files._files.cache_clear()
 
 
 def test_what_an_import_imports_counts(root):
     (root / "rtrace").mkdir()
     for name, text in (("one", "import rtrace.two\n"), ("two", "from rtrace import three\n"), ("three", ""), ("four", "")):
         (root / f"rtrace/{name}.py").write_text(text)
-    found = sources.closure([root / "rtrace/one.py"])
+    found = source_files.closure([root / "rtrace/one.py"])
     assert found == {root / f"rtrace/{name}.py" for name in ("one", "two", "three")}
 
 
@@ -257,5 +257,5 @@ def test_in_a_folder_of_everybodys_packages_only_ours_count(root):
         (root / name / "__init__.py").write_text("")
     (root / "rtrace/one.py").write_text("import somebody_elses\nfrom rtrace import two\n")
     (root / "rtrace/two.py").write_text("")
-    found = sources.closure([root / "rtrace/one.py"])
+    found = source_files.closure([root / "rtrace/one.py"])
     assert found == {root / f"rtrace/{name}.py" for name in ("__init__", "one", "two")}

@@ -5,7 +5,7 @@ A package that finds its modules by listing its folder imports them when it is a
 
 import graphlib
 
-from nptrace_base.sources import ROOT, _files, _names
+from nptrace_base.source_files import ROOT, _files, _names
 
 PACKAGES = ("nptrace", "nptrace_base", "rtrace", "cachesim", "traces")
 TEXTS = {str(path): path.read_text(encoding="utf-8") for part in PACKAGES for path in (ROOT / part).rglob("*.py")}

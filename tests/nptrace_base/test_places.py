@@ -69,7 +69,10 @@ def test_a_secret_in_an_address_is_refused_and_not_repeated(text, make):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("https://host/run", "https:// is no store of runs; give a path, or an address of s3, gs, gcs, abfs, abfss or file"),
+        (
+            "https://host/run",
+            "https:// is not a store of runs; give a path, or an address of s3, gs, gcs, abfs, abfss or file",
+        ),
         ("s3://", "s3:// names no bucket; write e.g. s3://bucket/folder"),
         ("file://tmp/x", "file://tmp/x names the host 'tmp'; write file:/// and an absolute path"),
     ],

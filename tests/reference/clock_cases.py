@@ -8,7 +8,7 @@ from cachesim.clock.state import CYCLES, Parameters, Rows, make_state
 from cachesim.config import CacheConfig
 from cachesim.fast_lru import set_mask
 from cachesim.policies import Facts
-from cachesim.policies.machine import UNUSED, Tree, make_machine
+from cachesim.policies.machine import UNUSED, NodeColumns, make_machine
 from cachesim.prefetch import parse_prefetch
 from tests.reference.clock import SlowClock, visits_of
 from tests.reference.traces import make_trace
@@ -32,7 +32,7 @@ machines = st.fixed_dictionaries({
 
 
 class Case:
-    """A random trace, cut into rays, with the lines of its nodes; a share ``beside`` of rays pass the tree and read nothing."""
+    """A random trace, cut into rays, with the lines of its nodes; a share ``beside`` of the rays reads nothing."""
 
     def __init__(self, kind, seed, line_bytes, base, n_rays=12, beside=0.2):
         self.line_bytes = line_bytes
@@ -59,7 +59,7 @@ class Case:
         ]
         self.lines = [list(range(a // line_bytes, b // line_bytes + 1)) for a, b in (each or (line_bytes, 0) for each in ends)]
         self.n_lines = max(line for lines in self.lines for line in lines) + 1
-        self.tree = Tree(
+        self.tree = NodeColumns(
             np.array(trace.n_prims, np.uint32), np.array(trace.level, np.uint16), np.array(trace.parent, np.int32),
             np.array([min(lines, default=0) for lines in self.lines], np.uint32),
             np.array([len(lines) for lines in self.lines], np.uint32),

@@ -46,7 +46,7 @@ import pytest
 
 from cachesim.clock.state import CYCLES
 from cachesim.config import CacheConfig
-from cachesim.policies.machine import Tree
+from cachesim.policies.machine import NodeColumns
 from tests.reference.clock import NoPolicy, SlowStack, visits_of
 from tests.reference.clock_cases import Case, fast_account, slow_account
 from tests.reference.traces import Trace
@@ -74,7 +74,7 @@ def worked_case():
     case.waits_for = [-1] * len(RAYS)
     case.types = np.zeros(len(RAYS), np.uint8)
     case.nodes, case.kinds = (np.array([row[i] for row in rows], dtype) for i, dtype in ((0, np.uint32), (1, np.uint8)))
-    case.tree = Tree(
+    case.tree = NodeColumns(
         np.array(N_PRIMS, np.uint32), np.array(LEVEL, np.uint16), np.array(PARENT, np.int32), np.arange(7, dtype=np.uint32),
         np.ones(7, np.uint8),
     )  # fmt: skip

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cachesim.policies import stride
-from cachesim.policies.machine import Tree, make_machine
+from cachesim.policies.machine import NodeColumns, make_machine
 from tests.reference.clock_cases import cases, check_account, config_of, configs, fast_account, machines, slow_account
 from tests.reference.policies import SlowStride
 
@@ -19,7 +19,7 @@ def test_every_number_is_that_of_the_model(case, numbers, config, n_slots):
 
 def test_a_ray_begins_without_the_last_line_and_stride_of_the_ray_before(monkeypatch):
     """The rays of one slot, one after the other: only the confirmed stride, 3, goes from one to the next."""
-    root = Tree(*np.ones((5, 1), np.int64))
+    root = NodeColumns(*np.ones((5, 1), np.int64))
     machine = make_machine(root, 1, 100)
     unit, asked = stride.make_unit(machine, None), []
     monkeypatch.setattr(stride, "replace", lambda unit, machine, slot, line: asked.append(line))

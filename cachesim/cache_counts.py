@@ -31,7 +31,7 @@ from cachesim.replacement import order_of, write_rings
 from nptrace_base.jit import kernel
 
 
-class Exact:
+class CacheCounts:
     """A cache of any policy, with a sequential prefetcher or none.
 
     Attributes
@@ -79,7 +79,7 @@ class Exact:
         """Misses per access type."""
         return self.row(MISSES)
 
-    def then(self, later: "Exact") -> "Exact":
+    def then(self, later: "CacheCounts") -> "CacheCounts":
         """Return the summary of this part and the one that follows, under LRU, where ids are line numbers."""
         whole = self._copy()
         whole._make_room(later.cache.facts.size)
@@ -99,8 +99,8 @@ class Exact:
             write_rings(np.where(newest >= 0, newest, order_of(mine)), mine)
         return whole
 
-    def _copy(self) -> "Exact":
-        copy = Exact(*self._asked, three_c=self.cache.three_c)
+    def _copy(self) -> "CacheCounts":
+        copy = CacheCounts(*self._asked, three_c=self.cache.three_c)
         copy.load(self.arrays())
         return copy
 
