@@ -28,9 +28,10 @@ from nptrace_base.source_files import digest_of
 #: Accesses in the smallest part that a thread gets: less takes longer to open and to join than it saves.
 LEAST_PART = 1 << 20
 
-#: Parts for each process, so that the last does not wait for one that is slow; accesses of a part for another executor. A
-#: thread has one: more cost more work than their balance saves.
-PARTS_PER_WORKER, PART = 4, 1 << 22
+#: Parts for each process, so that the last does not wait for one that is slow. An executor whose workers are not counted gets
+#: parts of so many accesses, or so many parts: each costs its scheduler two messages, and this process a joining. A thread
+#: has one: more cost more work than their balance saves.
+PARTS_PER_WORKER, PART, MOST_PARTS = 4, 1 << 22, 10_000
 
 OnProgress = Callable[[int], None] | None
 
@@ -133,16 +134,21 @@ def _by_workers(source: Source, question: Question, engine: Engine, progress: On
     if type(source) is not RunSource:
         raise NptraceError(f"{source.identity.run} has no rays, between which a trace is cut for workers; leave workers out")
     n_events, place = source.run.n_accesses, source.run.path
-    n = max(min(PARTS_PER_WORKER * engine.n_workers, n_events // LEAST_PART) if engine.n_workers else n_events // PART, 1)
+    n = min(PARTS_PER_WORKER * engine.n_workers, n_events // LEAST_PART) if engine.n_workers else n_events // PART
+    n = max(min(n, MOST_PARTS), 1)
     # Workers may be in other folders.
     there = place.absolute() if isinstance(place, Path) else place
     task = there, str(source.layout), source.run.digest, code_of(question), question
-    found: dict[int, dict[str, np.ndarray]] = {}
+    whole, n_joined = question.begin(None), 0
+    waiting: dict[int, dict[str, np.ndarray]] = {}  # came before one that precedes them
     for number, (n_counted, arrays) in engine.results(count_part, [(*task, i, n) for i in range(1, n + 1)]):
-        found[number] = arrays
+        waiting[number] = arrays
+        while n_joined in waiting:
+            whole = whole.then(_loaded(question, waiting.pop(n_joined)))
+            n_joined += 1
         if progress is not None:
             progress(n_counted)
-    return reduce(lambda one, other: one.then(other), (_loaded(question, found[i]) for i in range(n)))
+    return whole
 
 
 def _loaded(question: Question, arrays: dict[str, np.ndarray]) -> Summary:
@@ -185,4 +191,5 @@ def _opened(path: Place, layout: str, digest: str) -> tuple[RunSource, dict[tupl
     assert isinstance(source, RunSource)
     if source.run.digest != digest:
         raise NptraceError(f"{path} is another run where a worker reads it; give the workers the same files")
+    source.run.columns("nodes", ["axis"])  # once in a worker, and not for each of its parts
     return source, {}

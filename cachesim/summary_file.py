@@ -2,7 +2,7 @@
 
 A file is Arrow IPC, compressed with zstd: a row for each array of the summary (``cachesim.summary``), with its name, NumPy
 type and bytes. The metadata of its schema is JSON: the version of the format, the run with its digest, the rows of the part,
-what was asked, digests of the code that counted, and a checksum of the arrays.
+what was asked, digests of the code that counted, and a checksum of the arrays; beside it stands the checksum of that text.
 """
 
 import hashlib
@@ -26,9 +26,9 @@ from traces.identity import RunIdentity
 from traces.reader import Run
 
 #: Raised when what the file holds changes.
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
-_KEY = b"nptrace summary"
+_KEY, _KEY_SUM = b"nptrace summary", b"nptrace summary sha256"
 _SCHEMA = pa.schema([("name", pa.string()), ("type", pa.string()), ("data", pa.large_binary())])
 _UNREADABLE = (OSError, ValueError, LookupError, TypeError, pa.ArrowException)
 
@@ -67,7 +67,8 @@ def write_part(path: Path, part: Run, asked: Sequence[Asked], summaries: Sequenc
         "sha256": _checksum(arrays),
     }
     columns = [list(arrays), [array.dtype.str for array in arrays.values()], [array.tobytes() for array in arrays.values()]]
-    schema = _SCHEMA.with_metadata({_KEY: json.dumps(metadata).encode()})
+    text = json.dumps(metadata).encode()
+    schema = _SCHEMA.with_metadata({_KEY: text, _KEY_SUM: hashlib.sha256(text).hexdigest().encode()})
     with whole_file(path) as temporary:
         options = pa.ipc.IpcWriteOptions(compression="zstd")
         with temporary.open("wb") as file, pa.ipc.new_file(file, schema, options=options) as writer:
@@ -152,11 +153,14 @@ def _check(parts: Sequence[_Part]) -> None:
 def _metadata(path: Path) -> _Part:
     try:
         with path.open("rb") as file:
-            text = (pa.ipc.open_file(file).schema.metadata or {})[_KEY]
+            found = pa.ipc.open_file(file).schema.metadata or {}
+        text = found[_KEY]
         values = json.loads(text)
         version = values["format_version"]
         if version != FORMAT_VERSION:
             raise NptraceError(f"{path} has format version {version}, and this program reads {FORMAT_VERSION}; make it again")
+        if hashlib.sha256(text).hexdigest().encode() != found[_KEY_SUM]:
+            raise ValueError("the checksum of its metadata is wrong")
         return _Part(path, values["run"], range(*values["rows"]), values["asked"], values["code"], values["sha256"])
     except NptraceError:
         raise
@@ -168,6 +172,7 @@ def _arrays(part: _Part) -> dict[str, np.ndarray]:
     try:
         with part.path.open("rb") as file:
             table = pa.ipc.open_file(file).read_all()
+        table.validate(full=True)  # Arrow takes the places of texts in a file as they are
         columns = (table.column(name).to_pylist() for name in _SCHEMA.names)
         arrays = {name: np.frombuffer(data, type_) for name, type_, data in zip(*columns, strict=True)}
     except _UNREADABLE as e:

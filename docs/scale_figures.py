@@ -55,6 +55,31 @@ def causes(cog) -> None:
         cog.outl(f"- {int(n):,} workers take {_time(float(of[0]['wall s']))}: {', '.join(parts)}.")
 
 
+def network(cog) -> None:
+    """Write the cost of a ray, the bytes of a run, and how many of them workers write in a second."""
+    rates = {row["rate"]: float(row["value"]) for row in rows_of("scale_rates.csv")}
+    large = max(rows_of("scaling.csv"), key=lambda row: int(row["accesses"]))
+    per_ray, per_access = (int(large["accesses"]) / int(large["rays"]), int(large["bytes"]) / int(large["accesses"]))
+    picture = f"{large['scene']} as a BVH at {large['pixels a side']} x {large['pixels a side']}"
+    render, replay = (_three(1e6 * per_ray * rates[f"{name}_per_access"]) for name in ("render", "replay"))
+    cog.outl(
+        f"- A ray of {picture} makes {_three(per_ray)} accesses: at the rates above it takes {render} us to render and "
+        f"{replay} us to replay."
+    )
+    cog.outl(
+        f"- A run of that picture has {_three(per_access)} bytes for each access. Workers write all of them when they render, "
+        "and read those of the accesses when they replay:"
+    )
+    rows = [row for row in rows_of("scale.csv") if row["work"] == "render and replay"]
+    for n in dict.fromkeys(row["accesses"] for row in rows):
+        best = min((row for row in rows if row["accesses"] == n), key=lambda row: float(row["wall s"]))
+        gigabytes, seconds = per_access * float(n) / 1e9, float(best["wall s"])
+        cog.outl(
+            f"  {_three(gigabytes)} GB for 10^{len(n) - 1} accesses, which is {_three(gigabytes / seconds)} GB/s for the "
+            f"{int(best['workers']):,} workers that take {_time(seconds)}{'.' if n == rows[-1]['accesses'] else ','}"
+        )
+
+
 def _time(seconds: float) -> str:
     if seconds < 120:
         return f"{seconds:.0f} s"

@@ -102,7 +102,7 @@ class Engine:
                 guard = "" if len(left) < len(tasks) else " (a script that asks for workers needs if __name__ == '__main__':)"
                 raise WorkersLostError(
                     f"{self._what} was lost ({_name_of(reason)}) with {len(left)} of {len(tasks)} tasks left; give "
-                    f"workers more memory or take fewer, and start the same command again, which goes on from there{guard}"
+                    f"workers more memory or take fewer, and start the same command again; a render goes on from there{guard}"
                 ) from reason
 
 
@@ -206,11 +206,13 @@ def engine_of(workers: int | Executor = 0, scheduler: str | None = None) -> Iter
 def _dask(address: str) -> Iterator[Engine]:
     try:
         from distributed import Client
+        from distributed.comm import get_address_host
         from distributed.comm.core import CommClosedError
         from distributed.scheduler import KilledWorker
     except ImportError as e:
         raise NptraceError(f"--scheduler needs Dask ({e}); install it with pip install 'nptrace[cluster]'") from e
     try:
+        get_address_host(address)  # a client of an address that is none tries to close for 20 s when it is deleted
         client: Any = Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as e:
         reason = (str(e) or type(e).__name__).splitlines()[0]

@@ -44,6 +44,7 @@ from traces.manifest import (
     is_of_run,
     parse_file,
     parse_manifest,
+    verified,
 )
 from traces.node_formats import NODE_FORMATS
 from traces.part_writer import PartWriter, encoded_table
@@ -248,7 +249,9 @@ def _finished_before(job: PartJob) -> dict[int, Finished]:
                 values = json.loads((job.place / name).read_bytes())
                 files = {what: parse_file(each) for what, each in values["files"].items()}
                 if all(there.get(file.name) == file.bytes for file in files.values()):
-                    found[int(match[1])] = Finished(files, RunCounts(**values["counts"]))
+                    finished = Finished(files, RunCounts(**values["counts"]))
+                    _colours(job, finished)
+                    found[int(match[1])] = finished
     return found
 
 
@@ -308,13 +311,18 @@ def _made_meanwhile(job: PartJob, needed: set[str]) -> RunFacts | None:
     return None
 
 
+def _colours(job: PartJob, part: Finished) -> np.ndarray:
+    """Return the colours of a part's pixels, (n, 3) uint8; RunError if they are not what was written."""
+    where, file = job.place / part.files["colours"].name, part.files["colours"]
+    return np.frombuffer(zlib.decompress(verified(where.read_bytes(), file, where)), np.uint8).reshape(-1, 3)
+
+
 def _picture(job: PartJob, parts: Sequence[Sequence[Piece]], finished: Sequence[Finished]) -> np.ndarray:
     """Return the picture, (height, width, 3) uint8, from the colours of the parts; of rays from a file there is none."""
     width, height = (1, 1) if job.shooting is None else (job.shooting.width, job.shooting.height)
     picture = np.zeros((height * width, 3), np.uint8)
     for stretch, part in zip(parts, finished, strict=True):
-        file = part.files["colours"]
-        colours = np.frombuffer(zlib.decompress((job.place / file.name).read_bytes()), np.uint8).reshape(-1, 3)
+        colours = _colours(job, part)
         if job.shooting is None:
             picture[:] = colours[-1]
             continue

@@ -52,7 +52,7 @@ def mapped(where: Place, file: FileFacts) -> tuple[dict[str, np.ndarray], dict[s
                 where.copy_to(copy)
                 memory = np.asarray(np.memmap(copy, np.uint8, "c"))
     except (OSError, ValueError) as e:
-        raise RunError(f"cannot map {where}: {e}; start the render again") from e
+        raise RunError(f"cannot map {where}: {e}; give an --out that all workers see, and start the render again") from e
     if memory.nbytes != file.bytes or hashlib.sha256(memory.data).hexdigest() != file.sha256:
         raise RunError(f"{where} has been changed since it was written (its checksum is wrong); start the render again")
     start = 8 + int.from_bytes(memory[:8].tobytes(), "little")

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import IO
+from typing import IO, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -53,20 +53,29 @@ def open_run(path: Place | str) -> Run:
     manifest = parse_manifest(text, path)
     check_there(manifest, path, sizes(path))
     n_bytes = len(text) + sum(file.bytes for file in manifest.files)
-    files = RunFiles(
-        list(_parts(manifest, path)), partial(_content, path, manifest.image), n_bytes,
-        hashlib.sha256(text).hexdigest(), partial(open_run, path),
-    )  # fmt: skip
-    return Run(path, manifest.footer, files)
+    digest = hashlib.sha256(text).hexdigest()
+
+    def opened() -> Run:  # again without a request: whatever is read later has to have the manifest's checksums
+        image = partial(_content, path, manifest.image)
+        return Run(path, manifest.footer, RunFiles(list(_parts(manifest, path)), image, n_bytes, digest, opened))
+
+    return opened()
 
 
 def _parts(manifest: Manifest, path: Place) -> Iterator[PartFiles]:
-    """Yield the parts that a manifest names; a file is read when it is opened, the nodes once."""
+    """Yield the parts that a manifest names; a file is read when it is opened, the nodes once.
+
+    Of the accesses the last two stay: a part of a run looks for its first ray in one of them, and for its end in the other.
+    """
     open_nodes = lru_cache(1)(partial(_open_file, path, "nodes", manifest.nodes))
+    open_accesses = lru_cache(2)(partial(_open_file, path, "accesses"))
     for part, ray, access in zip(manifest.parts, manifest.first_rays, manifest.first_accesses, strict=True):
         facts = {"rays": part.rays, "accesses": part.accesses, "nodes": manifest.nodes}
         footer = replace(manifest.footer, n_rays=part.rays.rows, n_accesses=part.accesses.rows)
-        openers = {table: partial(_open_file, path, table, file) for table, file in facts.items()} | {"nodes": open_nodes}
+        openers: dict[str, Callable[[], Any]] = {
+            "rays": partial(_open_file, path, "rays", part.rays), "accesses": partial(open_accesses, part.accesses),
+            "nodes": open_nodes,
+        }  # fmt: skip
         files = {table: path / file.name for table, file in facts.items()}
         yield PartFiles(partial(_open_table, openers), files, footer, ray, access)
 

@@ -1,5 +1,6 @@
 """npcache summarise: a part of a run through caches, into a file that npcache combine joins with those of the other parts."""
 
+import re
 import time
 from pathlib import Path
 
@@ -58,7 +59,8 @@ def summarise(
 
 def _following(out: Path, n_parts: int) -> str:
     """Return the command that joins the parts, once there are as many files like this one as parts."""
-    if len([*out.parent.glob(f"*{out.suffix}")]) != n_parts or not out.suffix:
+    alike = [each for each in out.parent.glob("*") if each.suffix == out.suffix and not each.name.startswith(".")]
+    if len(alike) != n_parts or not re.fullmatch(r"\.[\w-]+", out.suffix):
         return ""
     folder = "" if str(out.parent) == "." else f"{word(out.parent)}/"
     return f"npcache combine {folder}*{out.suffix}"

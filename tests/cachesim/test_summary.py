@@ -180,3 +180,4 @@ def test_sizes_of_summaries():
     arrays = summary.arrays()
     assert arrays["open_lines"].size == arrays["tags"].size == 256
     assert (arrays["open_types"] < PREFETCH).all()
+    assert sum(arrays[name].nbytes for name in ("tags", "open_lines", "open_types")) == 13 * 256  # as docs/scale.md states

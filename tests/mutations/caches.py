@@ -164,6 +164,8 @@ MUTATIONS = [
     Mutation("files: a gap is nothing", SF, "if part.rows.start > row:", "if False:", f"{PARTS} -k gaps"),
     Mutation("files: an overlap is nothing", SF, "if part.rows.start < row:", "if False:", f"{PARTS} -k gaps"),
     Mutation("files: other questions are answered too", SF, "if part.asked != first.asked:", "if False:", f"{PARTS} -k gaps"),
+    Mutation("files: what a file says of itself is believed", SF, "if hashlib.sha256(text).hexdigest().encode() != found[_KEY_SUM]:", "if False:", "tests/nptrace/test_damaged_summaries.py -k itself"),
+    Mutation("files: Arrow's places are believed", SF, "        table.validate(full=True)  # Arrow takes the places of texts in a file as they are\n", "", "tests/nptrace/test_damaged_summaries.py -k flipped"),
     # --- part of a run ---
     Mutation("known: misses of an unknown past are certain", "cachesim/sampling/cold_start.py", "unknown = cache.open_types(n_open)", "unknown = 0 * cache.open_types(n_open)", "tests/cachesim/sampling/test_cold_start.py"),
     Mutation("known: requests counted as demand", "cachesim/sampling/cold_start.py", "by_type[PREFETCH:].sum(axis=0)]", "by_type[:PREFETCH].sum(axis=0)]", "tests/cachesim/sampling/test_cold_start.py"),

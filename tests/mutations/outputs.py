@@ -47,6 +47,8 @@ MUTATIONS = [
     Mutation("storage: a missing file is noticed when it is read", "traces/reader.py", "    check_there(manifest, path, sizes(path))\n", "", PARTS_OF_RUN),
     Mutation("storage: offsets of a manifest are not checked", "traces/manifest.py", "if not parts or firsts != list(zip(found.first_rays, found.first_accesses, strict=True)):", "if not parts:", PARTS_OF_RUN),
     Mutation("workers: a part whose file is cut is taken", "rtrace/part_render.py", "if all(there.get(file.name) == file.bytes for", "if all(file.name in there for", f"{RENDER_PARTS} -k whole"),
+    Mutation("workers: colours are believed", "rtrace/part_render.py", "                    _colours(job, finished)\n", "", f"{RENDER_PARTS} -k whole"),
+    Mutation("workers: any run at its place is counted", "nptrace/run_tasks.py", "if run.digest != self.digest:", "if False:", "tests/nptrace/test_run_tasks.py -k another"),
     Mutation("workers: parts of another run are taken", "rtrace/part_render.py", 'rf"part-(\\d+)-{job.key}\\.json"', 'r"part-(\\d+)-[0-9a-f]+\\.json"', f"{RENDER_PARTS} -k another"),
     Mutation("workers: a killed worker ends the render", "nptrace_base/engines.py", "if reason is not None and (in_vain == _ROUNDS or not self._can_restart):", "if reason is not None:", f"{RENDER_PARTS} -k killed"),
     Mutation("workers: the manifest does not wait for its parts", "rtrace/part_render.py", "    check_there(manifest, where, there)", "    pass", f"{RENDER_PARTS} -k vanishes"),

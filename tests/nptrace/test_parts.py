@@ -282,7 +282,7 @@ def test_parts_that_other_sources_counted_are_not_joined(runs, tmp_path, monkeyp
 def test_a_damaged_file_is_one_sentence(runs, tmp_path):
     files = summaries(runs["bvh"], tmp_path, 2, ["--size", "1K"])
     good = files[0].read_bytes()
-    for bad in (b"", b"no Arrow", good[: len(good) // 2], good.replace(b'"format_version": 2', b'"format_version": 9')):
+    for bad in (b"", b"no Arrow", good[: len(good) // 2], good.replace(b'"format_version": 3', b'"format_version": 9')):
         files[0].write_bytes(bad)
         message = refused("combine", *files)
         assert str(files[0]) in message and "make it again" in message

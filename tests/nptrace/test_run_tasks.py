@@ -1,5 +1,6 @@
 """compare and table1 by workers, which take whole runs: the rows are those of one process."""
 
+import shutil
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -37,6 +38,25 @@ def test_a_worker_of_another_version_is_refused(folder, monkeypatch):
 
     with Older(1) as workers, pytest.raises(nt.NptraceError, match="a worker has other sources of nptrace than the command"):
         nt.compare("traces/bunny-bvh", prefetch="push", baselines=False, workers=workers)
+
+
+@pytest.mark.parametrize("count", ["compare", "table1"])
+def test_a_worker_that_finds_another_run_is_refused(folder, count):
+    """As on a machine with files of its own under the same path."""
+
+    class Elsewhere(ThreadPoolExecutor):
+        def submit(self, function, *args):
+            changed = [shutil.copytree(run, run.with_name("other")) for run in folder.glob("traces/bunny-kdtree")]
+            shutil.rmtree(folder / "traces/bunny-bvh")
+            changed[0].rename(folder / "traces/bunny-bvh")
+            return super().submit(function, *args)
+
+    functions = {
+        "compare": lambda workers: nt.compare("traces/bunny-bvh", prefetch="push", baselines=False, workers=workers),
+        "table1": lambda workers: nt.table1("traces/bunny-bvh", workers=workers),
+    }
+    with Elsewhere(1) as workers, pytest.raises(nt.NptraceError, match="bunny-bvh is another run where a worker reads it"):
+        functions[count](workers)
 
 
 @pytest.mark.slow

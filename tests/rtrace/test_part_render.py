@@ -197,11 +197,16 @@ def test_a_render_goes_on_from_finished_parts(stopped, scene, trees, monkeypatch
     assert_same(open_run(stopped), open_run(stopped.with_name("whole")))
 
 
-@pytest.mark.parametrize("damage", ["deleted", "cut", "no record", "half a record"])
+@pytest.mark.parametrize("damage", ["deleted", "cut", "no record", "half a record", "other colours"])
 def test_a_part_that_is_not_whole_is_traced_again(stopped, scene, trees, monkeypatch, damage):
-    files = sorted(stopped.glob("accesses-*" if damage in ("deleted", "cut") else "part-*"))
+    kinds = {"deleted": "accesses-*", "cut": "accesses-*", "other colours": "colours-*"}
+    files = sorted(stopped.glob(kinds.get(damage, "part-*")))
     if damage in ("deleted", "no record"):
         files[0].unlink()
+    elif damage == "other colours":
+        content = bytearray(files[0].read_bytes())
+        content[len(content) // 2] ^= 1
+        files[0].write_bytes(content)
     else:
         files[0].write_bytes(files[0].read_bytes()[:-7])
     assert len(went_on(monkeypatch, scene, trees["bvh"], stopped)) == 2
@@ -332,6 +337,20 @@ def test_a_worker_refuses_a_tree_that_was_changed(tmp_path, scene, trees):
 
     with pytest.raises(RunError, match="has been changed since it was written"):
         render_parts(scene, trees["bvh"], SHOOTINGS[0], tmp_path / "run", engine=Changing())
+
+
+def test_a_worker_that_does_not_see_the_folder_says_so(tmp_path, scene, trees):
+    class Elsewhere(Engine):
+        def __init__(self):
+            pass
+
+        def results(self, function, tasks):
+            for file in tmp_path.glob("run/job-*"):
+                file.unlink()
+            yield 0, function(*tasks[0])
+
+    with pytest.raises(RunError, match=r"cannot map .*; give an --out that all workers see"):
+        render_parts(scene, trees["kdtree"], SHOOTINGS[0], tmp_path / "run", engine=Elsewhere())
 
 
 def test_a_worker_of_another_version_traces_nothing(tmp_path, scene, trees, monkeypatch):
