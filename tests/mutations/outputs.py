@@ -10,8 +10,8 @@ PLACES, PARTS_OF_RUN, RENDER_PARTS = "tests/nptrace_base/test_places.py", "tests
 
 MUTATIONS = [
     # Studies in a file, and functions
-    Mutation("study: a finished run is traced again", "nptrace/study.py", "    if path.is_dir():\n", "    if False:\n", "tests/nptrace/test_study.py -k stopped"),
-    Mutation("study: a run of other content is taken", "nptrace/study.py", 'return None if run.footer.differences(footer_of(scene, tree, shooting, "")) else run', "return run", "tests/nptrace/test_study.py -k another"),
+    Mutation("study: a finished run is traced again", "nptrace/kept_runs.py", "            if path.is_dir():\n", "            if False:\n", "tests/nptrace/test_study.py -k stopped"),
+    Mutation("study: a run of other content is taken", "nptrace/kept_runs.py", "    if unlike := run", "    if unlike := () and run", "tests/nptrace/test_study.py -k another"),
     Mutation("study: rows of another layout are taken", "nptrace/study.py", "repr(self.of), self.layout,", "repr(self.of),", "tests/nptrace/test_study.py -k 'combination or stopped'"),
     Mutation("study: an option's error is of its table's line", "nptrace/study.py", "name = error.name if isinstance(error, OptionError) else self._name", "name = self._name", "tests/nptrace/test_study.py -k line"),
     Mutation("study: of several orders the first alone", "nptrace/study.py", 'product(*(_several(of[name]) for name in COMBINED[1:]))', 'product(*(_several(of[name])[:1] for name in COMBINED[1:]))', "tests/nptrace/test_study.py -k combination"),
