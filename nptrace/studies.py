@@ -183,10 +183,10 @@ def timed(
     layouts: Sequence[str], bar: Progress, *, by: str = "nothing", threads: int | None = None,
 ) -> "list[Timing]":  # fmt: skip
     """Count the cycles of every run under every layout, with every cache, machine and policy."""
-    from cachesim.clock.timing import time_run
-    from cachesim.prefetch import parse_prefetch
+    from cachesim.clock.timing import time_run, timed_policy
 
-    policies = [parse_prefetch(text) for text in prefetches]
+    # By name: traced requests and those of the paper's unit are the same on the clock.
+    policies = list({str(each): each for each in map(timed_policy, prefetches)}.values())
     results: list[Timing] = []
     for source in _opened(sources, layouts):
         bar.job(source.identity.run)
@@ -201,10 +201,12 @@ def compared(
 ) -> "list[Compared]":  # fmt: skip
     """Compare the policies (``all``: the usual ones) on one cache and machine, run by run."""
     from cachesim.clock.compare import compare, usual_policies
+    from cachesim.clock.timing import timed_policy
     from nptrace.run_tasks import compare_run, run_by_run
     from traces.reader import open_run
 
-    names = [name for text in prefetches for name in (usual_policies() if text == "all" else [text])]
+    asked = [name for text in prefetches for name in (usual_policies() if text == "all" else [text])]
+    names = list(dict.fromkeys(str(timed_policy(name)) for name in asked))
     if engine is not None:
         bar.job("all runs")
         arguments = [(config, clock, names, layout, baselines)] * len(sources)

@@ -98,6 +98,8 @@ def test_a_run_of_other_content_stops_a_study_before_anything_is_traced(folder, 
         ("npcache replay traces/bunny-bvh --size 1K --ways 1,1..2,32,full --by level --prefetch none,NONE", 3),
         ("npcache sweep traces/bunny-bvh --size 4K,4096,4K..4K --prefetch stack,stack:unlimited", 1),
         ("npcache time traces/bunny-bvh --prefetch push,Push --layout veb,VEB --rays 1,01", 1),
+        ("npcache time traces/bunny-bvh --prefetch traced,stack", 1),
+        ("npcache compare traces/bunny-bvh --prefetch traced,stack --no-baselines", 3),
     ],
 )
 def test_what_is_asked_for_in_two_spellings_has_one_row(folder, command, n):
