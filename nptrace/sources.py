@@ -2,9 +2,9 @@
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
@@ -12,6 +12,8 @@ from nptrace.groups import FOUND, BadInput
 from nptrace.options import list_option
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote, place
+
+_Source = TypeVar("_Source")
 
 LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
 
@@ -110,7 +112,7 @@ def chosen_sources(sources: Sequence[Place], folder: Place) -> list[Place]:
 
     if sources:
         named = [path for source in sources for path in (_runs_in(source) or [_checked(source)])]
-        return list({_key(path): path for path in reversed(named)}.values())[::-1]
+        return each_once(named)
     found = find_runs(folder)
     if not found:
         what = f"there is no run in {folder}" if folder.is_dir() else f"there is no folder {folder}"
@@ -190,9 +192,15 @@ def _keep(found: Sequence[Place], folder: Place) -> None:
         context.meta.setdefault(FOUND, {}).update(dict.fromkeys(map(str, found), str(folder)))
 
 
-def _key(path: Place) -> object:
-    """Return what two names of one run have in common."""
-    return path if isinstance(path, Remote) or str(path) == "-" else os.path.realpath(path)
+def each_once(sources: Iterable[_Source]) -> list[_Source]:
+    """Return runs, or places of runs, without those that are another one of them: a run may have several names."""
+    from traces.reader import Run
+
+    found: dict[object, _Source] = {}
+    for source in sources:
+        path: Any = source.path if isinstance(source, Run) else source
+        found.setdefault(path if isinstance(path, Remote) or str(path) == "-" else os.path.realpath(path), source)
+    return [*found.values()]
 
 
 def _runs_in(folder: Place) -> list[Place]:

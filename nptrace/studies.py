@@ -282,12 +282,16 @@ def preset_rows(name: str, bar: Progress, *, equation: "Equation", threads: int 
 
 
 def table1_runs(runs: Sequence[Run], where: Any) -> dict[tuple[str, str], Run]:
-    """Return the runs of Table I's scenes; NptraceError, which says where they were looked for, if there is none."""
+    """Return the runs of Table I's scenes; NptraceError if there is none.
+
+    ``where`` is the folder in which they were looked for, None if they were named.
+    """
     from cachesim.report import table1 as table
 
     chosen = table.choose_runs(runs)
     if not chosen:
-        raise NptraceError(f"no run in {where} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
+        of = "that is named" if where is None else f"in {where}"
+        raise NptraceError(f"no run {of} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
     return chosen
 
 

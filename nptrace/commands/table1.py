@@ -115,7 +115,7 @@ def table1(
         return
     if others := given("pixels", "seed"):
         raise BadInput(f"runs have their own pictures; leave out {listing(others)}, or estimate the table with --target-error")
-    chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
+    chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], None if sources else folder)
     began = time.perf_counter()
     with engine_of(workers, scheduler) as engine, Progress() as bar:
         rows = table1_rows(chosen, bar, policy=policy, layout=layout, equation=numbers, threads=threads, engine=engine)
