@@ -141,7 +141,7 @@ def write_tables(
 
     if form != "table":
         write_out({"markdown": texts.to_markdown, "latex": texts.to_latex}[form](tables, notes), output)
-    elif output is None or str(output) == "-":
+    elif output is None or (str(output) == "-" and sys.stdout is not None):
         texts.print_tables(tables, notes, sys.stdout, is_wide=is_wide)
     else:
         printed = io.StringIO()

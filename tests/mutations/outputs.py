@@ -101,7 +101,7 @@ MUTATIONS = [
     Mutation("kept: only what a file imports itself counts", "nptrace_base/sources.py",
              "            todo += _imported(path)\n", "            found.update(_imported(path))\n", f"{KEPT}::test_what_an_import_imports_counts"),
     Mutation("messages: a bug passes for a bad input", "nptrace/groups.py",
-             "        except NptraceError as e:\n", "        except ValueError as e:\n", "tests/nptrace/test_messages.py::test_a_bug_is_no_message"),
+             "    except NptraceError as e:\n", "    except ValueError as e:\n", "tests/nptrace/test_messages.py::test_a_bug_is_no_message"),
     Mutation("interrupts: Ctrl-C has a status of its own", "nptrace/groups.py",
              "\nINTERRUPTED = 130", "\nINTERRUPTED = 1", "tests/nptrace/test_interrupts.py::test_compiling_ends_quietly_with_its_processes"),
     Mutation("interrupts: one that is swallowed is lost", "nptrace/groups.py",
