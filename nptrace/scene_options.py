@@ -95,6 +95,15 @@ def check_run_names(names: Sequence[str], n_pictures: int) -> None:
             raise NptraceError(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")
 
 
+def refuse_one_name(names: Sequence[str], verb: str) -> None:
+    """Raise NptraceError if two of a command's scenes would have one name in its rows; ``verb`` is what is done with them."""
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise NptraceError(
+            f"two scenes, or two cameras, would both be {twice} in every row; rename a file, or {verb} them apart"
+        )
+
+
 #: Parameters of the builders that a user may set, and the type of each.
 BVH_PARAMS = {"c_trav": float, "c_isect": float, "min_leaf": int, "max_leaf": int}
 KD_PARAMS = {"c_trav": float, "c_isect": float, "empty_bonus": float, "max_level": int, "min_leaf": int, "max_leaf": int}

@@ -88,7 +88,7 @@ def estimate(
     results = [result for _, _, result in found]
     output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))
     methods = ", ".join(f"{n} {method}" for method, n in Counter(result.method for result in results).items())
-    what = f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches"
+    what = f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} cache{'s' * (len(configs) != 1)}"
     of_caches = "size", "ways", "line", "policy", "layout", "is_table1", "error", "exact_below", "resume", "pixels"
     subject = " ".join(map(word, scenes.names))
     done(what, began, following("nptrace render", subject, f"--pixels {picture.pixels}", drops=of_caches))

@@ -124,7 +124,8 @@ def table1(
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
     is_timed = all(run.footer.packet == 1 for run in chosen.values())
     subject = named([run.path for run in chosen.values()]) if is_timed else None
-    done(f"{len(chosen)} runs, {len(rows)} caches", began, following("npcache compare", subject, drops=["n"]))
+    what = f"{len(chosen)} run{'s' * (len(chosen) != 1)}, {len(rows)} rows"
+    done(what, began, following("npcache compare", subject, drops=["n"]))
 
 
 def table1_of_preset(name: str, equation: "Equation", threads: int, output: Output) -> None:

@@ -57,3 +57,22 @@ def test_runs_that_are_named_are_not_looked_for_in_a_folder(folder):
         nt.table1("q/ball-bvh-8x8")
     assert str(caught.value) == sentence
     assert "no run in q is of" in CliRunner().invoke(cli.npcache, ["table1", "--traces", "q"]).stderr
+
+
+@pytest.mark.parametrize(("command", "name"), [("estimate", "ball-bvh-8x8"), ("check", "ball")])
+def test_scenes_that_rows_could_not_tell_apart_are_refused(folder, monkeypatch, command, name):
+    monkeypatch.setattr("rtrace.trees.tree_cache.cached_tree", lambda *args, **options: pytest.fail("work was done"))
+    Path("a").mkdir()
+    Path("a/ball.obj").write_text(Path("ball.obj").read_text())
+    args = {"estimate": ["--accel", "bvh", "--pixels", "8x8"], "check": ["--pixels", "8x8"]}[command]
+    group = {"estimate": cli.npcache, "check": cli.nptrace}[command]
+    for other in ("a/ball.obj", "ball.obj"):
+        said = CliRunner().invoke(group, [command, "ball.obj", other, *args]).stderr
+        assert said == (
+            f"Error: two scenes, or two cameras, would both be {name} in every row; rename a file, or {command} them apart\n"
+        )
+
+
+def test_one_cache_is_no_caches(folder):
+    args = ["estimate", "ball.obj", "--accel", "bvh", "--pixels", "8x8"]
+    assert "1 run (1 exact), 1 cache in" in CliRunner().invoke(cli.npcache, args).stderr
