@@ -58,7 +58,8 @@ def run(study: Path, threads: int, output: Output) -> None:
     target = "" if output.path is None or str(output.path) == "-" else f"{printable(str(output.path))}: "
     subject = named([Path(path) for path in dict.fromkeys(row["path"] for row in rows)])
     following = " ".join(filter(None, ["npcache compare", subject])) if all(row["packet"] == 1 for row in rows) else ""
-    done(f"{target}{len(rows)} rows of {n_runs} run{'s' * (n_runs != 1)}", began, following)
+    what = f"{len(rows)} row{'s' * (len(rows) != 1)} of {n_runs} run{'s' * (n_runs != 1)}"
+    done(f"{target}{what}", began, following)
 
 
 def _usual_path(study: Path) -> Path:

@@ -56,7 +56,7 @@ def test_rows_of_a_study_replace_those_of_the_last_time_and_nothing_else(folder,
     assert Path("study.parquet").read_bytes() == first
     run("nptrace run study.toml -o study.parquet")
     second = Path("study.parquet").read_bytes()
-    run("nptrace run study.toml")
+    assert "study.parquet: 1 row of 1 run in" in run("nptrace run study.toml").stderr
     assert Path("study.parquet").read_bytes() == second
 
 
