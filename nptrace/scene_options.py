@@ -30,9 +30,9 @@ def accel_option() -> Any:
 
 def parse_tree(name: str) -> str:
     """Return the name of a tree."""
-    if name.lower() not in ("kdtree", "bvh"):
+    if (found := name.strip().lower()) not in ("kdtree", "bvh"):
         raise NptraceError(f"{name!r} is no tree; write kdtree, bvh, or kdtree,bvh")
-    return name.lower()
+    return found
 
 
 def scene_options(command: Any) -> Any:
