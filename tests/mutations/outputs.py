@@ -132,4 +132,10 @@ MUTATIONS = [
     Mutation("messages: policies that need a clock are listed", "nptrace/sources.py", "(policies() if is_clocked else untimed_policies())", "policies()", "tests/nptrace/test_what_is_named.py -k unknown_policy"),
     Mutation("fits: what is hidden is explained", "nptrace_base/tables.py", "if not (_explains(each, hidden) and not _explains(each, kept))", "", "tests/nptrace/test_fits.py -k note"),
     Mutation("fits: a command is broken inside a word", "nptrace_base/shell.py", 'lines.append(f"{line} \\\\")', 'lines.append(f"{line}\\\\")', "tests/nptrace/test_fits.py -k several"),
+    Mutation("kept names: a study replaces a file of others", "nptrace/commands/run.py", 'return path if "section" in columns_of(path) else unused(path)', "return path", "tests/nptrace/test_nothing_lost.py -k rows_of"),
+    Mutation("kept names: two scenes of a study are one run", "nptrace/kept_runs.py", "            if path in found:\n", "            if False:\n", "tests/nptrace/test_nothing_lost.py -k one_name"),
+    Mutation("kept names: a policy in two spellings has two rows", "nptrace/sources.py", "return text if text in also else str(parse_prefetch(text))", "return text", "tests/nptrace/test_nothing_lost.py -k spellings"),
+    Mutation("kept names: a run named twice has its rows twice", "nptrace/api.py", "return each_once(chosen)", "return chosen", "tests/nptrace/test_named_twice.py -k order"),
+    Mutation("kept names: TRUE of a spreadsheet is a text", "cachesim/report/result_files.py", 'if text.lower() in ("true", "false"):', 'if text in ("True", "False"):', "tests/nptrace/test_other_programs.py -k same_rows"),
+    Mutation("kept names: kd is taken for a BVH", "nptrace/ignored_arguments.py", '("kd", "kdtree" not in accel,', '("kd", False,', "tests/nptrace/test_ignored_arguments.py -k refused"),
 ]
