@@ -245,10 +245,12 @@ def compare(
     """
     from cachesim.report import compare_tables
     from nptrace.clock_options import one_machine
+    from nptrace.sources import policy_of
     from nptrace.studies import compared
 
     config, clock = one_machine(machines_plan(machine, size, ways, line, policy, seed, numbers))
-    policies, chosen = listed("prefetch", prefetch, str), _chosen(sources, traces)
+    policies = listed("prefetch", prefetch, policy_of(is_clocked=True, also=["all"]))
+    chosen = _chosen(sources, traces)
     with engine_of(workers, scheduler) as engine, Progress(1 if engine else len(chosen)) as bar:
         rows = compared(
             chosen, config, clock, policies, layout, bar, baselines=baselines, threads=threads, engine=engine
@@ -307,9 +309,10 @@ def table1(
             "table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), [*table1_tables.notes(rows), note(preset)])
         )
     runs = [each if isinstance(each, Run) else open_run(each) for each in _chosen(sources, traces)]
+    chosen = table1_runs(runs, None if _given(sources) else traces)
     with engine_of(workers, scheduler) as engine, Progress() as bar:
         rows = table1_rows(
-            table1_runs(runs, traces), bar, policy=policy, layout=layout, equation=equation, threads=threads, engine=engine
+            chosen, bar, policy=policy, layout=layout, equation=equation, threads=threads, engine=engine
         )  # fmt: skip
     return Results("table1", table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
 
@@ -321,7 +324,7 @@ def _given(sources: Any) -> list[Any]:
 
 def _chosen(sources: Any, folder: Place | str) -> list[Where]:
     """Return what to read: runs as they are, and the runs and traces at the places named, or those in the folder."""
-    from nptrace.sources import chosen_sources
+    from nptrace.sources import chosen_sources, each_once
 
     given = _given(sources)
     if not given:
@@ -329,4 +332,4 @@ def _chosen(sources: Any, folder: Place | str) -> list[Where]:
     chosen: list[Where] = []
     for each in given:
         chosen += [each] if isinstance(each, Run) else chosen_sources([place(each)], place(folder))
-    return chosen
+    return each_once(chosen)

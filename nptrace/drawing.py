@@ -104,11 +104,12 @@ def view(
         A value is wrong, a run cannot be read, or matplotlib is missing.
     """
     from nptrace.commands.view import ViewOptions, parse_kind
+    from nptrace.sources import each_once
 
     machines = machines_plan(machine, size, ways, line, policy, seed, numbers)
     shown = ViewOptions(listed("heat", heat, parse_kind), difference, enlarge, machines, prefetch, layout, threads)
     shown.check_machines()
-    runs = [run for each in _several(sources) for run in _runs(each)]
+    runs = each_once(run for each in _several(sources) for run in _runs(each))
     shown.check(runs)
     with _Canvas(output) as canvas:
         shown.draw(runs, canvas.path)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cachesim.config import CacheConfig
 from nptrace.progress import Progress
-from nptrace.scene_options import PictureOptions, Trees
+from nptrace.scene_options import PictureOptions, Trees, refuse_one_name
 from nptrace_base.errors import NptraceError
 
 if TYPE_CHECKING:
@@ -35,12 +35,15 @@ def estimate_scenes(
     from cachesim.sampling.estimate import estimate as estimate_source
     from cachesim.sampling.target import parse_target
     from rtrace.ray_source import RayUnits
+    from rtrace.run_names import run_name
     from rtrace.trees.tree_cache import cached_tree
 
     target, params = parse_target(sampling.error), trees.params()
     # The seed is also that of the sample, and must not change a run of another order.
     shooting = (picture if picture.order == "random" else replace(picture, seed=0)).shooting()
-    n_jobs = len(scenes) * len(params) * len(layouts)
+    names = [run_name(scene, kind, given, shooting) for scene in scenes for kind, given in params.items()]
+    refuse_one_name(names, "estimate")
+    n_jobs = len(names) * len(layouts)
     if sampling.resume is not None and n_jobs > 1:
         raise NptraceError(
             f"--resume {sampling.resume} keeps the counts of one run; name one SCENE, one --accel and one --layout"

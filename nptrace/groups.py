@@ -8,7 +8,8 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -213,19 +214,31 @@ class Commands(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(self._sentences.items()))
 
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        """Parse the group's own options; --version and --help print, which may fail."""
+        with _sentences({}):
+            return super().make_context(*args, **extra)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command."""
         progress.verbosity = progress.USUAL
-        try:
+        with _sentences(ctx.meta):
             return super().invoke(ctx)
-        except BrokenPipeError:
-            raise  # the reader has enough; click ends quietly
-        except NptraceError as e:
-            raise BadInput(f"{e}{_way_around(str(e), ctx.meta.get(FOUND, {}))}") from e
-        except MemoryError as e:
-            reason = f" ({e})" if str(e) else ""
-            raise BadInput(f"there is not enough memory{reason}; take a smaller picture, mesh or cache, or fewer rays") from e
-        except OSError as e:
-            if (sentence := trouble(e)) is None:
-                raise
-            raise BadInput(sentence) from e
+
+
+@contextmanager
+def _sentences(meta: Mapping[str, Any]) -> Iterator[None]:
+    """Turn errors about inputs, and of the machine, into one sentence; ``meta`` is that of the command's context."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise  # the reader has enough; click ends quietly
+    except NptraceError as e:
+        raise BadInput(f"{e}{_way_around(str(e), meta.get(FOUND, {}))}") from e
+    except MemoryError as e:
+        reason = f" ({e})" if str(e) else ""
+        raise BadInput(f"there is not enough memory{reason}; take a smaller picture, mesh or cache, or fewer rays") from e
+    except OSError as e:
+        if (sentence := trouble(e)) is None:
+            raise
+        raise BadInput(sentence) from e

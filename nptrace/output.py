@@ -23,6 +23,7 @@ from nptrace.groups import BadInput
 from nptrace.options import Choice
 from nptrace.typed import listing
 from nptrace_base.errors import NptraceError
+from nptrace_base.shell import word
 
 if TYPE_CHECKING:
     from nptrace_base.records import Record
@@ -140,7 +141,7 @@ def write_tables(
 
     if form != "table":
         write_out({"markdown": texts.to_markdown, "latex": texts.to_latex}[form](tables, notes), output)
-    elif output is None or str(output) == "-":
+    elif output is None or (str(output) == "-" and sys.stdout is not None):
         texts.print_tables(tables, notes, sys.stdout, is_wide=is_wide)
     else:
         printed = io.StringIO()
@@ -157,6 +158,14 @@ def write_out(text: str, out: Path | None) -> None:
 
     with whole_file(out) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="surrogateescape")
+
+
+def unused(path: Path) -> Path:
+    """Return the name of a file where -o gives none; BadInput if there is a file of that name, which is kept."""
+    if os.path.lexists(path):
+        name = word(path)
+        raise BadInput(f"{name} exists; write -o {name} to replace it, or name another file")
+    return path
 
 
 def refuse_terminal(path: Path, what: str) -> None:

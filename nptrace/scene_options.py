@@ -30,9 +30,9 @@ def accel_option() -> Any:
 
 def parse_tree(name: str) -> str:
     """Return the name of a tree."""
-    if name.lower() not in ("kdtree", "bvh"):
+    if (found := name.strip().lower()) not in ("kdtree", "bvh"):
         raise NptraceError(f"{name!r} is not a tree; write kdtree, bvh, or kdtree,bvh")
-    return name.lower()
+    return found
 
 
 def scene_options(command: Any) -> Any:
@@ -93,6 +93,15 @@ def check_run_names(names: Sequence[str], n_pictures: int) -> None:
     for name in names:
         if not re.fullmatch(r"[\w][\w.-]*", name):
             raise NptraceError(f"--name: {name!r} cannot name a run; use letters, digits, _ . and -, but no . or - first")
+
+
+def refuse_one_name(names: Sequence[str], verb: str) -> None:
+    """Raise NptraceError if two of a command's scenes would have one name in its rows; ``verb`` is what is done with them."""
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise NptraceError(
+            f"two scenes, or two cameras, would both be {twice} in every row; rename a file, or {verb} them apart"
+        )
 
 
 #: Parameters of the builders that a user may set, and the type of each.

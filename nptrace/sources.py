@@ -1,9 +1,10 @@
 """Options that choose what is replayed, shared by the commands of npcache."""
 
 import os
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
@@ -11,6 +12,8 @@ from nptrace.groups import FOUND, BadInput
 from nptrace.options import list_option
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote, place
+
+_Source = TypeVar("_Source")
 
 LAYOUT_HELP = "Node layout in memory: stored, bfs, dfs, veb, treelet:BYTES; +BYTES moves them."
 
@@ -55,7 +58,7 @@ def untimed_policies() -> list[tuple[str, str]]:
 
 def prefetch_option(default: str, *, is_clocked: bool = False, also: Sequence[str] = (), help: str = PREFETCH_HELP) -> Any:
     """Return the option for a list of prefetch policies; ``also`` are words beside them."""
-    return list_option("--prefetch", item=_policy(is_clocked, also), metavar="POLICIES", default=default, help=help)
+    return list_option("--prefetch", item=policy_of(is_clocked, also), metavar="POLICIES", default=default, help=help)
 
 
 def one_prefetch_option(*, is_clocked: bool = False) -> Any:
@@ -63,7 +66,7 @@ def one_prefetch_option(*, is_clocked: bool = False) -> Any:
 
     def checked(ctx: click.Context, param: click.Parameter, value: str) -> str:
         try:
-            return _policy(is_clocked)(value)
+            return policy_of(is_clocked)(value)
         except NptraceError as e:
             raise BadInput(f"--prefetch: {e}") from e
 
@@ -72,20 +75,36 @@ def one_prefetch_option(*, is_clocked: bool = False) -> Any:
     )  # fmt: skip
 
 
-def _policy(is_clocked: bool, also: Sequence[str] = ()) -> Callable[[str], str]:
-    """Return a function that passes on the text of a policy that there is; NptraceError names those that a command takes."""
+def policy_of(is_clocked: bool = False, also: Sequence[str] = ()) -> Callable[[str], str]:
+    """Return a function from the text of a policy to its name, one for all its spellings.
+
+    Of an unknown policy the NptraceError names those that the command takes.
+    """
 
     def checked(text: str) -> str:
         from cachesim.policies import own_policy
         from cachesim.policies import policies as known
+        from cachesim.prefetch import parse_prefetch
 
         name = text.strip().lower().partition(":")[0]
         if own_policy(name) is None and name not in known() and text not in also:
             forms = [*also, *(form for form, _ in (policies() if is_clocked else untimed_policies()))]
             raise NptraceError(f"there is no prefetch policy {name!r}; write one of {', '.join(forms)}")
-        return text
+        return text if text in also else str(parse_prefetch(text))
 
     return checked
+
+
+def layouts_option() -> Any:
+    """Return the option for a list of layouts."""
+    return list_option("--layout", item=layout_of, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+
+
+def layout_of(text: str) -> str:
+    """Return the name of a layout, one for all its spellings."""
+    from cachesim.layout import parse_layout
+
+    return str(parse_layout(text))
 
 
 def chosen_sources(sources: Sequence[Place], folder: Place) -> list[Place]:
@@ -94,7 +113,7 @@ def chosen_sources(sources: Sequence[Place], folder: Place) -> list[Place]:
 
     if sources:
         named = [path for source in sources for path in (_runs_in(source) or [_checked(source)])]
-        return list({_key(path): path for path in reversed(named)}.values())[::-1]
+        return each_once(named)
     found = find_runs(folder)
     if not found:
         what = f"there is no run in {folder}" if folder.is_dir() else f"there is no folder {folder}"
@@ -131,7 +150,23 @@ def _checked(source: Place) -> Place:
 
 
 def _has_results(path: Path) -> bool:
-    """Return whether a file holds rows of results: those begin with the column run."""
+    """Return whether a file holds rows of results: those have a column run."""
+    names = columns_of(path)
+    return "run" in names and "address" not in names
+
+
+def is_trace(path: Path) -> bool:
+    """Return whether a file is a trace of addresses, by its name, and a table by its columns."""
+    from traces.address_files import ENDINGS
+
+    name = path.name.lower()
+    if name.endswith((".csv", ".parquet")):
+        return "address" in columns_of(path)
+    return name.endswith((".din", *(f".din.{each}" for each in ("gz", "zst", "xz", "bz2", "lz4")), *ENDINGS))
+
+
+def columns_of(path: Path) -> list[str]:
+    """Return the columns of a table in a file; none if it cannot be read, of which its reader says why."""
     import pyarrow as pa
 
     try:
@@ -139,15 +174,17 @@ def _has_results(path: Path) -> bool:
             import pyarrow.parquet as pq
 
             with path.open("rb") as file:
-                names = pq.read_schema(file).names
-            return "run" in names and "address" not in names
+                names: list[str] = pq.read_schema(file).names
+            return [name.lower() for name in names]
         if not path.is_file():
-            return False
+            return []
         with path.open("rb") as file:
-            start = file.read(1000)
+            start = file.read(4096).decode("utf-8-sig", "replace")
     except (OSError, ValueError, pa.ArrowException):
-        return False  # whoever reads it says what is wrong
-    return (start.startswith(b"run,") and b",address" not in start.splitlines()[0]) or b'"run":' in start
+        return []
+    if path.suffix.lower() == ".json":
+        return re.findall(r'"(\w+)":', start)
+    return [name.strip().strip('"').lower() for name in start.partition("\n")[0].split(",")]
 
 
 def _keep(found: Sequence[Place], folder: Place) -> None:
@@ -156,9 +193,15 @@ def _keep(found: Sequence[Place], folder: Place) -> None:
         context.meta.setdefault(FOUND, {}).update(dict.fromkeys(map(str, found), str(folder)))
 
 
-def _key(path: Place) -> object:
-    """Return what two names of one run have in common."""
-    return path if isinstance(path, Remote) or str(path) == "-" else os.path.realpath(path)
+def each_once(sources: Iterable[_Source]) -> list[_Source]:
+    """Return runs, or places of runs, without those that are another one of them: a run may have several names."""
+    from traces.reader import Run
+
+    found: dict[object, _Source] = {}
+    for source in sources:
+        path: Any = source.path if isinstance(source, Run) else source
+        found.setdefault(path if isinstance(path, Remote) or str(path) == "-" else os.path.realpath(path), source)
+    return [*found.values()]
 
 
 def _runs_in(folder: Place) -> list[Place]:

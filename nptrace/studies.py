@@ -183,10 +183,10 @@ def timed(
     layouts: Sequence[str], bar: Progress, *, by: str = "nothing", threads: int | None = None,
 ) -> "list[Timing]":  # fmt: skip
     """Count the cycles of every run under every layout, with every cache, machine and policy."""
-    from cachesim.clock.timing import time_run
-    from cachesim.prefetch import parse_prefetch
+    from cachesim.clock.timing import time_run, timed_policy
 
-    policies = [parse_prefetch(text) for text in prefetches]
+    # By name: traced requests and those of the paper's unit are the same on the clock.
+    policies = list({str(each): each for each in map(timed_policy, prefetches)}.values())
     results: list[Timing] = []
     for source in _opened(sources, layouts):
         bar.job(source.identity.run)
@@ -201,10 +201,12 @@ def compared(
 ) -> "list[Compared]":  # fmt: skip
     """Compare the policies (``all``: the usual ones) on one cache and machine, run by run."""
     from cachesim.clock.compare import compare, usual_policies
+    from cachesim.clock.timing import timed_policy
     from nptrace.run_tasks import compare_run, run_by_run
     from traces.reader import open_run
 
-    names = [name for text in prefetches for name in (usual_policies() if text == "all" else [text])]
+    asked = [name for text in prefetches for name in (usual_policies() if text == "all" else [text])]
+    names = list(dict.fromkeys(str(timed_policy(name)) for name in asked))
     if engine is not None:
         bar.job("all runs")
         arguments = [(config, clock, names, layout, baselines)] * len(sources)
@@ -280,12 +282,16 @@ def preset_rows(name: str, bar: Progress, *, equation: "Equation", threads: int 
 
 
 def table1_runs(runs: Sequence[Run], where: Any) -> dict[tuple[str, str], Run]:
-    """Return the runs of Table I's scenes; NptraceError, which says where they were looked for, if there is none."""
+    """Return the runs of Table I's scenes; NptraceError if there is none.
+
+    ``where`` is the folder in which they were looked for, None if they were named.
+    """
     from cachesim.report import table1 as table
 
     chosen = table.choose_runs(runs)
     if not chosen:
-        raise NptraceError(f"no run in {where} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
+        of = "that is named" if where is None else f"in {where}"
+        raise NptraceError(f"no run {of} is of a scene of Table I ({', '.join(table.SCENES)}); render one by its name")
     return chosen
 
 

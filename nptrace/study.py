@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import nptrace
 from nptrace import plans, values
+from nptrace.kept_runs import kept_runs
 from nptrace.plans import listed
 from nptrace.progress import Progress
 from nptrace.scene_options import load_scenes, parse_tree, tree_params
@@ -30,8 +31,6 @@ from traces.reader import Run, open_run
 
 if TYPE_CHECKING:
     from rtrace.render import Shooting
-    from rtrace.scenes.scene import Scene
-    from rtrace.trees.tree import Tree
 
 #: The keys outside the tables, and what they are when left out.
 TOP = {"out": "traces"}
@@ -77,7 +76,7 @@ class Study:
 def read_study(path: Path) -> Study:
     """Read and check a study; NptraceError names the file and the line of what is wrong."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         found = tomllib.loads(text)
     except OSError as e:
         raise NptraceError(f"cannot read {path}: {e.strerror}; name a study in TOML, as in `nptrace run --help`") from e
@@ -265,15 +264,22 @@ class _Blame:
 
 def run_study(study: Study, *, threads: int | None = None) -> list[dict[str, Any]]:
     """Make the runs that are not there, and the rows that are not there; return all rows, each with its ``section``."""
+    from nptrace.studies import rendered
+
     of = study.render
     scenes = load_scenes(_several(of["scenes"]), of["strict"], of["offline"], _several(of["camera"]), of["light"])
     jobs = [(scene, shooting, params) for scene in scenes for shooting, params in study.pictures]
     plans = {name: _plan(name, values) for name, values in study.sections.items()}
     n_parts = sum(len(list(_parts(name, plan))) for name, plan in plans.items())
     rows: list[dict[str, Any]] = []
+    found = kept_runs(study.path, study.out, jobs)
     with Progress(len(jobs) * (1 + n_parts)) as bar:
-        for scene, shooting, params in jobs:
-            run = _run_of(study, scene, shooting, params, bar, threads)
+        for (scene, shooting, params), (path, is_kept) in zip(jobs, found.items(), strict=True):
+            if is_kept:
+                bar.job(path.name)
+            else:
+                rendered([scene], params, shooting, study.out, bar, threads=threads)
+            run = open_run(path)
             for name, plan in plans.items():
                 for layout, prefetches in _parts(name, plan):
                     part = _Part(study, run, name, plan[0], layout, prefetches)
@@ -286,36 +292,6 @@ def _parts(name: str, plan: Any) -> Iterator[tuple[str, list[str]]]:
     _, prefetches, layouts = plan
     for layout in layouts:
         yield from [(layout, prefetches)] if name == "time" else ((layout, [each]) for each in prefetches)
-
-
-def _run_of(
-    study: Study, scene: "Scene", shooting: "Shooting", params: dict[str, dict[str, Any]], bar: Progress, threads: int | None
-) -> Run:
-    """Return a run, from disk if it is there; another run of its name is an error, as in nptrace render."""
-    from nptrace.studies import rendered
-    from rtrace.run_names import run_name
-    from rtrace.trees.tree_cache import cached_tree
-
-    [(kind, given)] = params.items()
-    path = study.out / run_name(scene, kind, given, shooting)
-    if path.is_dir():
-        tree = cached_tree(scene, kind, **given)
-        if (kept := _kept(path, scene, tree, shooting)) is not None:
-            bar.job(kept.name)
-            return kept
-    rendered([scene], params, shooting, study.out, bar, threads=threads)
-    return open_run(path)
-
-
-def _kept(path: Path, scene: "Scene", tree: "Tree", shooting: "Shooting") -> Run | None:
-    """Return the run at ``path`` if it is whole and of this content."""
-    from rtrace.render import footer_of
-
-    try:
-        run = open_run(path)
-    except NptraceError:
-        return None
-    return None if run.footer.differences(footer_of(scene, tree, shooting, "")) else run
 
 
 @cache

@@ -55,12 +55,12 @@ def summarise(
 
 
 @checked()
-def combine(summaries: Iterable[Path | str], /) -> Results:
+def combine(summaries: Path | str | Iterable[Path | str], /) -> Results:
     """Return what ``replay`` returns for the run whose parts, all of them, these summaries are; in any order.
 
     Parameters
     ----------
-    summaries : list of Path or str
+    summaries : Path, str or a list of them
         The files of ``summarise``.
 
     Returns
@@ -76,5 +76,6 @@ def combine(summaries: Iterable[Path | str], /) -> Results:
     from cachesim.report import replay_tables
     from cachesim.summary_file import combine as combined
 
-    results = combined([Path(each) for each in summaries])
+    named = [summaries] if isinstance(summaries, (str, Path)) else summaries
+    results = combined([Path(each) for each in named])
     return Results("combine", [each.to_dict() for each in results], lambda: replay_tables.tables(results))

@@ -14,6 +14,7 @@ from operator import index
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+from nptrace.ignored_arguments import refuse_ignored
 from nptrace.trouble import trouble
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Remote
@@ -233,6 +234,12 @@ KINDS: dict[str, Kind] = {
 NUMBER = several([1, 4])
 
 
+def _not_default(given: Mapping[str, Any], signature: inspect.Signature) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments of a call that are not their defaults, and the defaults of the function."""
+    defaults = {name: each.default for name, each in signature.parameters.items() if each.default is not each.empty}
+    return {name: value for name, value in given.items() if name not in defaults or value != defaults[name]}, defaults
+
+
 def checked(**special: Kind) -> Callable[[_F], _F]:
     """Return a decorator for a function of ``import nptrace``: its arguments are read, each as the kind of its name.
 
@@ -257,6 +264,7 @@ def checked(**special: Kind) -> Callable[[_F], _F]:
                     found = given.arguments[name] = kinds[name].read(name, value)
                     if found == [] and parameter.default not in (None, ()):
                         raise OptionError(name, "it is an empty list; name something, or leave it out")
+            refuse_ignored(*_not_default(given.arguments, signature))
             try:
                 return function(*given.args, **given.kwargs)
             except OSError as e:

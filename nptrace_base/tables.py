@@ -218,7 +218,13 @@ def _latex_row(cells: Sequence[str]) -> str:
     return " & ".join(_latex(cell) for cell in cells) + r" \\"
 
 
+#: What LaTeX would take for something else, in text.
+_LATEX = str.maketrans(
+    {each: f"\\{each}" for each in "&%#_${}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+)
+
+
 def _latex(text: str) -> str:
-    for char in "&%#_":
-        text = text.replace(char, "\\" + char)
+    text = text.translate(_LATEX)
     return text.replace("-", "$-$") if text[:1] == "-" and text[1:2].isdigit() else text

@@ -117,14 +117,28 @@ def _points(table: Any, name: str, path: Path) -> np.ndarray:
     if name not in table.column_names:
         if not set(parts) <= set(table.column_names):
             raise NptraceError(f"{path} has no column {name!r}, nor {', '.join(parts)}; write lists of three numbers")
-        return np.stack([_numbers(table, part, path) for part in parts], axis=1)
+        return _held(np.stack([_numbers(table, part, path) for part in parts], axis=1), name, path)
     column = table.column(name).combine_chunks()
     is_list = pa.types.is_list(column.type) or pa.types.is_large_list(column.type) or pa.types.is_fixed_size_list(column.type)
     values = column.flatten() if is_list and not column.null_count else None
     lengths = as_array(column.value_lengths()) if values is not None else np.zeros(1)
     if values is None or (lengths != 3).any():
         raise NptraceError(f"{path}, column {name!r} must be lists of three numbers, and is of type {column.type}")
-    return _numbers(pa.table({name: values}), name, path).reshape(-1, 3)
+    return _held(_numbers(pa.table({name: values}), name, path).reshape(-1, 3), name, path)
+
+
+def _held(points: np.ndarray, name: str, path: Path) -> np.ndarray:
+    """Return points, (n, 3) float64; NptraceError if float32 makes infinity, or no direction, of what is neither."""
+    with np.errstate(over="ignore"):
+        single = points.astype(np.float32)
+    lost = np.isfinite(points).all(axis=1) & ~np.isfinite(single).all(axis=1)
+    if name == "direction":
+        lost |= points.any(axis=1) & ~single.any(axis=1)
+    if lost.any():
+        i = int(np.flatnonzero(lost)[0])
+        reason = "rays are traced as float32, which does not hold it; scale the rays, and the scene with them"
+        raise NptraceError(f"{path}: ray {i} has {name} {points[i]}: {reason}")
+    return points
 
 
 def _numbers(table: Any, name: str, path: Path) -> np.ndarray:

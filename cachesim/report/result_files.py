@@ -1,4 +1,7 @@
-"""Files of results -> rows: what ``npcache replay``, ``sweep``, ``time``, ``compare`` and ``table1`` wrote with ``-o``."""
+"""Files of results -> rows: what ``npcache replay``, ``sweep``, ``time``, ``compare`` and ``table1`` wrote with ``-o``.
+
+Another program may have written them again: a spreadsheet, polars or R with a byte order mark, or true for True.
+"""
 
 import csv
 import json
@@ -37,12 +40,12 @@ def _parquet(path: Path) -> list[dict[str, Any]]:
 
 
 def _json(path: Path) -> list[dict[str, Any]]:
-    found = json.loads(path.read_text(encoding="utf-8"))
+    found = json.loads(path.read_text(encoding="utf-8-sig"))
     return found if isinstance(found, list) else [found]
 
 
 def _csv(path: Path) -> list[dict[str, Any]]:
-    with open(path, encoding="utf-8", newline="") as file:
+    with open(path, encoding="utf-8-sig", newline="") as file:
         return [{name: _value(name, text) for name, text in row.items()} for row in csv.DictReader(file, strict=True)]
 
 
@@ -51,8 +54,8 @@ def _value(name: str, text: str | None) -> Any:
         return None
     if name in _TEXTS:
         return text
-    if text in ("True", "False"):
-        return text == "True"
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
     for number in (int, float):
         try:
             return number(text)

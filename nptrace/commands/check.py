@@ -12,7 +12,7 @@ from nptrace.ignored import refuse
 from nptrace.options import gathered, seed_option, threads_option
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
-from nptrace.scene_options import Scenes, scene_options
+from nptrace.scene_options import Scenes, refuse_one_name, scene_options
 from nptrace_base.shell import word
 
 if TYPE_CHECKING:
@@ -69,6 +69,7 @@ def check(
         from rtrace.trees.tree_cache import TREES, cached_tree
 
         loaded = scenes.load()
+        refuse_one_name([scene.label for scene in loaded], "check")
         with Progress(len(loaded)) as bar:
             for scene in loaded:
                 bar.job(scene.label)

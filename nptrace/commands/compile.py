@@ -31,4 +31,4 @@ def compile_(output: Output) -> None:
         [{"n_compiled": n_compiled, "seconds": seconds, "folder": kept}],
         lambda: ([Table("", ["all kernels ready in", "compiled", "seconds"], rows)], []),
     )
-    done(f"{n_compiled} kernels", began, "nptrace render sponza")
+    done(f"{n_compiled} kernel{'s' * (n_compiled != 1)} compiled", began, "nptrace render sponza")

@@ -22,7 +22,7 @@ from nptrace.options import (
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import done
 from nptrace.scene_options import PictureOptions, Scenes, Trees, ray_options, scene_options, tree_options
-from nptrace.sources import LAYOUT_HELP
+from nptrace.sources import layouts_option
 from nptrace.typed import given, listing
 from nptrace_base.shell import word
 
@@ -34,7 +34,7 @@ from nptrace_base.shell import word
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes; one at a time.")
 @policy_option("lru", help="Replacement: lru alone can be estimated.")
-@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+@layouts_option()
 @click.option(
     "--table1", "is_table1", is_flag=True, help="Use the four caches of Table I instead of --size, --ways and --line."
 )
@@ -71,14 +71,12 @@ def estimate(
     npcache estimate sponza --table1
     npcache estimate model.obj --size 16K,64K --assoc 2,8 --target-error 5% --pixels 4096x4096 --accel bvh
     """
-    from cachesim.layout import parse_layout
     from cachesim.report import estimate_tables, table1
     from cachesim.sampling.cold_start import check_lru
     from cachesim.sampling.target import parse_target
 
     began = time.perf_counter()
     parse_target(sampling.error)  # refused now, not after scenes are loaded
-    layouts = list(dict.fromkeys(str(parse_layout(text)) for text in layout))
     if is_table1:
         if others := given("size", "ways", "line"):
             raise BadInput(f"--table1 has the caches of Table I; leave out {listing(others)}, or --table1")
@@ -86,11 +84,11 @@ def estimate(
     else:
         configs = caches.configs()
     check_lru(configs)
-    found = estimate_scenes(scenes.load(), trees, configs, picture, sampling, layouts)
+    found = estimate_scenes(scenes.load(), trees, configs, picture, sampling, layout)
     results = [result for _, _, result in found]
     output.write(estimate_tables.records(results, output.form), lambda: estimate_tables.tables(results))
     methods = ", ".join(f"{n} {method}" for method, n in Counter(result.method for result in results).items())
-    what = f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} caches"
+    what = f"{len(results)} run{'s' * (len(results) != 1)} ({methods}), {len(configs)} cache{'s' * (len(configs) != 1)}"
     of_caches = "size", "ways", "line", "policy", "layout", "is_table1", "error", "exact_below", "resume", "pixels"
     subject = " ".join(map(word, scenes.names))
     done(what, began, following("nptrace render", subject, f"--pixels {picture.pixels}", drops=of_caches))

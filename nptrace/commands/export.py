@@ -7,7 +7,7 @@ import click
 
 from nptrace.groups import BadInput, Command
 from nptrace.options import Choice
-from nptrace.output import form_by_ending, output_option, refuse_terminal
+from nptrace.output import form_by_ending, output_option, refuse_terminal, unused
 from nptrace.progress import Progress, done, say
 from nptrace.sources import PlaceOf, one_run
 from nptrace_base.places import Place
@@ -55,7 +55,7 @@ def export(run: Place, form: str | None, binary: bool, prefetch: str, output: Pa
     if binary or form == "parquet":
         refuse_terminal(output or Path(), "a trace in binary records" if binary else "Parquet")
     opened, began = open_run(one_run(run)), time.perf_counter()
-    target = output or Path(f"{opened.name}.{form}")
+    target = output or unused(Path(f"{opened.name}.{form}"))
     with Progress(1) as bar:
         bar.job(opened.name)
         bar.phase("export")

@@ -13,7 +13,16 @@ from nptrace.ignored import refuse
 from nptrace.options import SIZE_HELP, WAYS_HELP, Choice, ListOf, joined, merged, threads_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PREFETCH_HELP, PlaceOf, chosen_sources, untimed_policies
+from nptrace.sources import (
+    LAYOUT_HELP,
+    PREFETCH_HELP,
+    PlaceOf,
+    chosen_sources,
+    is_trace,
+    layout_of,
+    policy_of,
+    untimed_policies,
+)
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place, Remote
 
@@ -60,8 +69,8 @@ def _ways(text: str) -> tuple[str, ...]:
 @_list("--size", item=_sizes, metavar="SIZES", help=f"{SIZE_HELP}.", callback=joined)
 @_list("--ways", "--assoc", item=_ways, metavar="WAYS", help=f"{WAYS_HELP}.")
 @_list("--line", item=parse_bytes, metavar="SIZES", help="Line sizes in bytes.")
-@_list("--prefetch", item=str, metavar="POLICIES", help=PREFETCH_HELP)
-@_list("--layout", item=str, metavar="LAYOUTS", help=LAYOUT_HELP)
+@_list("--prefetch", item=policy_of(), metavar="POLICIES", help=PREFETCH_HELP)
+@_list("--layout", item=layout_of, metavar="LAYOUTS", help=LAYOUT_HELP)
 @threads_option()
 @output_option(
     "-o", "--output", "path", binary="a picture", help="The picture, which is required: .png, .svg or .pdf; - is stdout."
@@ -103,7 +112,7 @@ def drawn(
     """
     from cachesim.report.result_files import read_rows
 
-    of_runs = [each for each in sources if isinstance(each, Remote) or each.is_dir() or each.suffix.lower() == ".din"]
+    of_runs = [each for each in sources if isinstance(each, Remote) or each.is_dir() or is_trace(each)]
     if of_runs and len(of_runs) < len(sources):
         others = next(source for source in sources if source not in of_runs)
         raise NptraceError(f"{of_runs[0]} is a run and {others} holds results; draw runs or results, not both at once")

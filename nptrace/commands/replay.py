@@ -21,7 +21,7 @@ from nptrace.options import (
 )
 from nptrace.output import Output, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, prefetch_option, traces_option, untimed_policies
+from nptrace.sources import PlaceOf, chosen_sources, layouts_option, prefetch_option, traces_option, untimed_policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 
@@ -38,7 +38,7 @@ BY = ("pixel", "level", "node", "ray-type")
 @policy_option("lru", "fifo", "random", "opt", help="Replacement: lru, fifo, random, opt (Belady).")
 @seed_option("Seed of random replacement.")
 @prefetch_option("traced")
-@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+@layouts_option()
 @click.option(
     "--reads", type=Choice(["own", "children", "merged"]), default="own", show_default=True,
     help="What a visit reads: its node; both children of a node that is entered, at once; or its node unless that lies in the "

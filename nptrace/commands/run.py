@@ -10,8 +10,9 @@ import click
 from nptrace.following import named
 from nptrace.groups import Command
 from nptrace.options import threads_option
-from nptrace.output import Output, results_options
+from nptrace.output import Output, results_options, unused
 from nptrace.progress import done
+from nptrace.sources import columns_of
 
 if TYPE_CHECKING:
     from nptrace_base.tables import Table
@@ -48,16 +49,26 @@ def run(study: Path, threads: int, output: Output) -> None:
     from traces.format import printable
 
     began = time.perf_counter()
-    if not output.is_asked_for:
-        output = replace(output, path=Path(f"{study.stem}.parquet"))
     asked = read_study(study)
+    if not output.is_asked_for:
+        output = replace(output, path=_usual_path(study))
     rows = run_study(asked, threads=threads)
     output.write(rows, lambda: ([table_of(rows)], []))
     n_runs = len({row["path"] for row in rows})
     target = "" if output.path is None or str(output.path) == "-" else f"{printable(str(output.path))}: "
     subject = named([Path(path) for path in dict.fromkeys(row["path"] for row in rows)])
     following = " ".join(filter(None, ["npcache compare", subject])) if all(row["packet"] == 1 for row in rows) else ""
-    done(f"{target}{len(rows)} rows of {n_runs} run{'s' * (n_runs != 1)}", began, following)
+    what = f"{len(rows)} row{'s' * (len(rows) != 1)} of {n_runs} run{'s' * (n_runs != 1)}"
+    done(f"{target}{what}", began, following)
+
+
+def _usual_path(study: Path) -> Path:
+    """Return where the rows go that -o sends nowhere; NptraceError if that cannot be written, or holds no rows of a study."""
+    from nptrace_base.atomic import check_writable
+
+    path = Path(f"{study.stem}.parquet")
+    check_writable(path)
+    return path if "section" in columns_of(path) else unused(path)
 
 
 def table_of(rows: list[dict[str, Any]]) -> "Table":

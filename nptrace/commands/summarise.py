@@ -11,7 +11,7 @@ from nptrace.groups import BadInput, Command
 from nptrace.options import Caches, gathered, list_option, policy_option, size_option, threads_option, ways_option
 from nptrace.output import output_option
 from nptrace.progress import Progress, done, size_text
-from nptrace.sources import LAYOUT_HELP, PlaceOf, one_run, prefetch_option, untimed_policies
+from nptrace.sources import PlaceOf, layouts_option, one_run, prefetch_option, untimed_policies
 from nptrace_base.places import Place
 from nptrace_base.shell import word
 
@@ -24,7 +24,7 @@ from nptrace_base.shell import word
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
 @policy_option("lru", help="Replacement: lru alone can be replayed in parts.")
 @prefetch_option("traced")
-@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+@layouts_option()
 @click.option("--3c", "three_c", is_flag=True, help="Classify misses as compulsory, capacity or conflict.")
 @threads_option()
 @output_option("-o", "--output", "out", help="The file to write, which is required, e.g. 3.sum.")

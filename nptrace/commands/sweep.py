@@ -12,7 +12,7 @@ from nptrace.groups import Command
 from nptrace.options import list_option, threads_option, ways_option, workers_options
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done
-from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, prefetch_option, traces_option, untimed_policies
+from nptrace.sources import PlaceOf, chosen_sources, layouts_option, prefetch_option, traces_option, untimed_policies
 from nptrace_base.errors import NptraceError
 from nptrace_base.places import Place
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @ways_option()
 @list_option("--line", item=parse_bytes, metavar="SIZES", default="32", help="Line sizes in bytes.")
 @prefetch_option("traced")
-@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+@layouts_option()
 @threads_option()
 @workers_options
 @output_option("--plot", "picture", binary="a picture", help="Write a plot as .png, .svg or .pdf.")

@@ -115,7 +115,7 @@ def table1(
         return
     if others := given("pixels", "seed"):
         raise BadInput(f"runs have their own pictures; leave out {listing(others)}, or estimate the table with --target-error")
-    chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], folder)
+    chosen = table1_runs([open_run(path) for path in chosen_sources(sources, folder)], None if sources else folder)
     began = time.perf_counter()
     with engine_of(workers, scheduler) as engine, Progress() as bar:
         rows = table1_rows(chosen, bar, policy=policy, layout=layout, equation=numbers, threads=threads, engine=engine)
@@ -124,7 +124,8 @@ def table1(
     output.write(table.to_dicts(rows), lambda: (table1_tables.tables(rows), table1_notes(rows)))
     is_timed = all(run.footer.packet == 1 for run in chosen.values())
     subject = named([run.path for run in chosen.values()]) if is_timed else None
-    done(f"{len(chosen)} runs, {len(rows)} caches", began, following("npcache compare", subject, drops=["n"]))
+    what = f"{len(chosen)} run{'s' * (len(chosen) != 1)}, {len(rows)} rows"
+    done(what, began, following("npcache compare", subject, drops=["n"]))
 
 
 def table1_of_preset(name: str, equation: "Equation", threads: int, output: Output) -> None:

@@ -9,10 +9,10 @@ import click
 from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.following import again, following
 from nptrace.groups import BadInput, Command
-from nptrace.options import Choice, list_option, threads_option
+from nptrace.options import Choice, threads_option
 from nptrace.output import Output, output_option, results_options
 from nptrace.progress import Progress, done, say
-from nptrace.sources import LAYOUT_HELP, PlaceOf, chosen_sources, policies, prefetch_option, traces_option
+from nptrace.sources import PlaceOf, chosen_sources, layouts_option, policies, prefetch_option, traces_option
 from nptrace_base.places import Place
 
 #: The tallies of the clock that can be printed, and how an option and the rows call one, as npcache replay does.
@@ -39,7 +39,7 @@ class ByChoice(Choice):
 @traces_option()
 @machine_options("Lists make every combination.")
 @prefetch_option("stack", is_clocked=True)
-@list_option("--layout", item=str, metavar="LAYOUTS", default="stored", help=LAYOUT_HELP)
+@layouts_option()
 @output_option(
     "--timeline", "timeline", help="Write some cycles of one case as a trace-event file, for Perfetto or chrome://tracing."
 )

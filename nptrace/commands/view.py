@@ -13,7 +13,7 @@ from nptrace.clock_options import Machines, machine_options, machine_sources
 from nptrace.groups import BadInput, Command
 from nptrace.ignored import refuse
 from nptrace.options import ListOf, gathered, merged, threads_option
-from nptrace.output import output_option
+from nptrace.output import output_option, unused
 from nptrace.progress import Progress, done
 from nptrace.sources import LAYOUT_HELP, PlaceOf, one_prefetch_option, policies
 from nptrace.typed import given
@@ -159,10 +159,7 @@ def _check_used(kinds: Sequence[str], prefetch: str) -> None:
 
 def _usual_path(runs: "Sequence[Run]", kinds: Sequence[str]) -> Path:
     """Return the picture's name where -o gives none; a file of that name is kept."""
-    path = Path("-".join([runs[0].name if len(runs) == 1 else "runs", *kinds]) + ".png")
-    if path.exists():
-        raise BadInput(f"{path} exists; write -o {path} to replace it, or name another file")
-    return path
+    return unused(Path("-".join([runs[0].name if len(runs) == 1 else "runs", *kinds]) + ".png"))
 
 
 def _check_difference(runs: "Sequence[Run]", kinds: Sequence[str]) -> None:

@@ -10,8 +10,8 @@ PLACES, PARTS_OF_RUN, RENDER_PARTS = "tests/nptrace_base/test_places.py", "tests
 
 MUTATIONS = [
     # Studies in a file, and functions
-    Mutation("study: a finished run is traced again", "nptrace/study.py", "    if path.is_dir():\n", "    if False:\n", "tests/nptrace/test_study.py -k stopped"),
-    Mutation("study: a run of other content is taken", "nptrace/study.py", 'return None if run.footer.differences(footer_of(scene, tree, shooting, "")) else run', "return run", "tests/nptrace/test_study.py -k another"),
+    Mutation("study: a finished run is traced again", "nptrace/kept_runs.py", "            if path.is_dir():\n", "            if False:\n", "tests/nptrace/test_study.py -k stopped"),
+    Mutation("study: a run of other content is taken", "nptrace/kept_runs.py", "    if unlike := run", "    if unlike := () and run", "tests/nptrace/test_study.py -k another"),
     Mutation("study: rows of another layout are taken", "nptrace/study.py", "repr(self.of), self.layout,", "repr(self.of),", "tests/nptrace/test_study.py -k 'combination or stopped'"),
     Mutation("study: an option's error is of its table's line", "nptrace/study.py", "name = error.name if isinstance(error, OptionError) else self._name", "name = self._name", "tests/nptrace/test_study.py -k line"),
     Mutation("study: of several orders the first alone", "nptrace/study.py", 'product(*(_several(of[name]) for name in COMBINED[1:]))', 'product(*(_several(of[name])[:1] for name in COMBINED[1:]))', "tests/nptrace/test_study.py -k combination"),
@@ -103,7 +103,7 @@ MUTATIONS = [
     Mutation("kept: only what a file imports itself counts", "nptrace_base/source_files.py",
              "            todo += _imported(path)\n", "            found.update(_imported(path))\n", f"{KEPT}::test_what_an_import_imports_counts"),
     Mutation("messages: a bug passes for a bad input", "nptrace/groups.py",
-             "        except NptraceError as e:\n", "        except ValueError as e:\n", "tests/nptrace/test_messages.py::test_a_bug_is_no_message"),
+             "    except NptraceError as e:\n", "    except ValueError as e:\n", "tests/nptrace/test_messages.py::test_a_bug_is_no_message"),
     Mutation("interrupts: Ctrl-C has a status of its own", "nptrace/groups.py",
              "\nINTERRUPTED = 130", "\nINTERRUPTED = 1", "tests/nptrace/test_interrupts.py::test_compiling_ends_quietly_with_its_processes"),
     Mutation("interrupts: one that is swallowed is lost", "nptrace/groups.py",
@@ -134,4 +134,10 @@ MUTATIONS = [
     Mutation("messages: policies that need a clock are listed", "nptrace/sources.py", "(policies() if is_clocked else untimed_policies())", "policies()", "tests/nptrace/test_what_is_named.py -k unknown_policy"),
     Mutation("fits: what is hidden is explained", "nptrace_base/tables.py", "if not (_explains(each, hidden) and not _explains(each, kept))", "", "tests/nptrace/test_fits.py -k note"),
     Mutation("fits: a command is broken inside a word", "nptrace_base/shell.py", 'lines.append(f"{line} \\\\")', 'lines.append(f"{line}\\\\")', "tests/nptrace/test_fits.py -k several"),
+    Mutation("kept names: a study replaces a file of others", "nptrace/commands/run.py", 'return path if "section" in columns_of(path) else unused(path)', "return path", "tests/nptrace/test_nothing_lost.py -k rows_of"),
+    Mutation("kept names: two scenes of a study are one run", "nptrace/kept_runs.py", "            if path in found:\n", "            if False:\n", "tests/nptrace/test_nothing_lost.py -k one_name"),
+    Mutation("kept names: a policy in two spellings has two rows", "nptrace/sources.py", "return text if text in also else str(parse_prefetch(text))", "return text", "tests/nptrace/test_nothing_lost.py -k spellings"),
+    Mutation("kept names: a run named twice has its rows twice", "nptrace/api.py", "return each_once(chosen)", "return chosen", "tests/nptrace/test_named_twice.py -k order"),
+    Mutation("kept names: TRUE of a spreadsheet is a text", "cachesim/report/result_files.py", 'if text.lower() in ("true", "false"):', 'if text in ("True", "False"):', "tests/nptrace/test_other_programs.py -k same_rows"),
+    Mutation("kept names: kd is taken for a BVH", "nptrace/ignored_arguments.py", '("kd", "kdtree" not in accel,', '("kd", False,', "tests/nptrace/test_ignored_arguments.py -k refused"),
 ]

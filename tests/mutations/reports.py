@@ -164,7 +164,7 @@ MUTATIONS = [
     Mutation("heat: rows from the bottom", "cachesim/heat.py", "return found.reshape(self.shape)", "return found.reshape(self.shape)[::-1]", VIEWED),
     Mutation("heat: each tree on a scale of its own", "nptrace/commands/view.py", "scale = scale_of(label, values[:n_plain], is_signed", "scale = scale_of(label, values[:1], is_signed", VIEWED),
     Mutation("heat: the first run minus the others", "nptrace/commands/view.py", "changes = [each - values[0]", "changes = [values[0] - each", VIEWED),
-    Mutation("heat: a picture that is there is replaced", "nptrace/commands/view.py", "if path.exists():", "if False:", VIEWED),
+    Mutation("heat: a picture that is there is replaced", "nptrace/output.py", "if os.path.lexists(path):", "if False:", VIEWED),
     Mutation("heat: cycles of the reads of another cause", "cachesim/clock/by_pixel.py", "number % N_CAUSES] += log[i, 1]", "SPENT_HIT] += log[i, 1]", BY_PIXEL),
     Mutation("heat: a log that is full is taken for whole", "cachesim/clock/by_pixel.py", "if n_logged == len(clock.log):", "if n_logged > len(clock.log):", BY_PIXEL),
     Mutation("heat: what was logged is counted twice", "cachesim/clock/by_pixel.py", '            clock.numbers["n_logged"][0] = 0\n', "", BY_PIXEL),

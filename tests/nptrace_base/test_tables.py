@@ -61,3 +61,10 @@ def test_notes_are_wrapped(monkeypatch):
         firsts = ("demand miss rate =", "paper miss rate =", "--wide prints")
         at = next(i for i, line in enumerate(lines) if line.startswith(firsts))
         assert max(map(len, lines[at:])) <= most
+
+
+def test_latex_prints_what_a_name_has():
+    cells = [[r"a~b^c\d{e}$f_g#h%i&j", "-3.7"]]
+    text = tables.to_latex([Table("", ["run", "x"], cells)], [])
+    name = r"a\textasciitilde{}b\textasciicircum{}c\textbackslash{}d\{e\}\$f\_g\#h\%i\&j"
+    assert rf"{name} & $-$3.7 \\" in text.splitlines()

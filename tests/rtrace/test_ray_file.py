@@ -162,6 +162,8 @@ def test_shadow_rays_alone_have_no_share_of_hits(folder):
         ({"origin": [[0.0, 0, None]], "direction": [[0.0, 0, 1]]}, "column 'origin' must be a number for every ray"),
         ({"origin": [[0.0, 0, 0]] * 2, "direction": [[0.0, 0, 1], [0.0, 0, 0]]}, "ray 1 has direction"),
         ({"origin": [[0.0, 0, 0]], "direction": [[0.0, 0, np.inf]]}, "ray 0 has direction"),
+        ({"origin": [[0.0, 0, 1e39]], "direction": [[0.0, 0, 1]]}, "float32, which does not hold it; scale the rays"),
+        ({"origin": [[0.0, 0, 0]], "direction": [[0.0, 0, 1e-50]]}, "float32, which does not hold it; scale the rays"),
         ({"origin": [[0.0, 0, 0]], "direction": [[0.0, 0, 1]], "t_max": ["x"]}, "column 't_max' must be a number"),
         ({"origin": [[0.0, 0, 0]], "direction": [[0.0, 0, 1]], "any_hit": [1]}, "column 'any_hit' must be true or false"),
         ({"origin": pa.array([], pa.list_(pa.float32())), "direction": pa.array([], pa.list_(pa.float32()))}, "has no ray"),
