@@ -69,9 +69,11 @@ class AddressFile:
         try:
             with self.stream.opened() as file:
                 found = pq.ParquetFile(file)
-                names = self._columns(found.schema_arrow.names)
-                for batch in found.iter_batches(_ROWS, columns=names):
-                    yield pa.table(batch)
+                given = found.schema_arrow.names
+                names = [name.strip().lower() for name in given]
+                ours = {given[names.index(name)]: name for name in self._columns(names)}
+                for batch in found.iter_batches(_ROWS, columns=[*ours]):
+                    yield pa.table(batch).select([*ours]).rename_columns([*ours.values()])
         except (pa.ArrowException, OSError) as e:
             reason = (str(e) or type(e).__name__).splitlines()[0]
             raise DinError(f"{self.stream.where} cannot be read as Parquet ({reason}); write it again") from e
@@ -86,12 +88,12 @@ class AddressFile:
                 yield self._parsed(header, text)
         if not header:
             header, rest = rest, b""
-        self._columns(_names(header))
+        self._columns(self._header(header))
         if rest.strip():
             yield self._parsed(header, rest)
 
     def _parsed(self, header: bytes, text: bytes) -> Any:
-        names = _names(header)
+        names = self._header(header)
         convert = csv.ConvertOptions(
             column_types=dict.fromkeys(names, pa.string()), include_columns=self._columns(names), strings_can_be_null=False
         )  # fmt: skip
@@ -99,6 +101,14 @@ class AddressFile:
             return csv.read_csv(io.BytesIO(text), csv.ReadOptions(column_names=names), convert_options=convert)
         except pa.ArrowException as e:
             raise DinError(f"{self.stream.where} cannot be read as CSV ({str(e).splitlines()[0]}); write it again") from e
+
+    def _header(self, header: bytes) -> list[str]:
+        """Return the names of all columns of a CSV file."""
+        if b"\0" in header:
+            raise DinError(f"{self.stream.where} is not in UTF-8; save it as UTF-8")
+        if b"\r" in header.strip():
+            raise DinError(f"{self.stream.where} has lines that end with a carriage return alone; end them with a line feed")
+        return _names(header)
 
     def _columns(self, names: list[str]) -> list[str]:
         """Return those of our columns that a file has; each once, and ``address`` at least."""

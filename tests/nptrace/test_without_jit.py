@@ -34,6 +34,8 @@ npcache replay ball.din --size 1K --ways 2 --format dinero
 def _run(folder, plain):
     """Run every step in a process of its own; return what was printed, and every file."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1" if plain else "0", "PYTHONWARNINGS": "error::RuntimeWarning"}
+    if plain:  # it builds its own trees
+        environment["XDG_CACHE_HOME"] = str(folder.parent / "cache")
     printed = []
     for step in filter(None, _STEPS.splitlines()):
         program, *arguments = step.split()

@@ -127,13 +127,21 @@ def test_a_long_file_is_read_in_pieces(folder, monkeypatch):
         ("address,type\n1,write\n", "row 1: access type 1 is a write"),
         ("address,type\n1,z\n", "row 1: type 'z' is no access type"),
         ("address,type\n1\n", "cannot be read as CSV"),
+        ("address\r1\r2\r", "has lines that end with a carriage return alone; end them with a line feed"),
+        ("a\0d\0d\0r\0e\0s\0s\0\n\0001\0\n\0", "is not in UTF-8; save it as UTF-8"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_one_sentence(folder, text, sentence):
-    (folder / "y.csv").write_text(text)
+    (folder / "y.csv").write_text(text, newline="")
     with pytest.raises(NptraceError) as caught:
         rows_of("y.csv")
     assert sentence in str(caught.value) and str(caught.value).startswith("y.csv") and "\n" not in str(caught.value)
+
+
+def test_the_case_of_a_heading_does_not_count(folder):
+    (folder / "y.csv").write_text("Note, Address ,TYPE\na,16,b\n")
+    pq.write_table(pa.table({"Type": ["b"], "note": ["a"], " Address ": [16]}), "y.parquet")
+    assert rows_of("y.csv") == rows_of("y.parquet") == [[16, 1, 11]]
 
 
 @pytest.mark.parametrize(
