@@ -6,6 +6,7 @@ import os
 import pickle
 import re
 import shlex
+from concurrent.futures import ThreadPoolExecutor
 
 import pyarrow.fs
 import pytest
@@ -15,6 +16,7 @@ import cli
 import nptrace as nt
 import rtrace.part_render as part_render
 import rtrace.render as rendering
+from cachesim import parts
 from nptrace_base.places import filesystem_of, place
 
 KEY, SECRET = "AKIAOFTHETEST", "s3cretOfTheTest"
@@ -139,6 +141,17 @@ def test_a_part_is_read_in_two_requests(requests, small_parts):
         assert len(set(asked)) == len(asked) == 4
     assert not any("/rays-" in name or "image-" in name for _, name in requests)  # what is not needed
     assert len(requests) <= 2 * 4 + 10
+
+
+def test_a_part_of_a_worker_is_read_in_three_requests_for_bytes_at_most(requests, small_parts, monkeypatch):
+    run = nt.render("blob", accel="bvh", pixels="24x20", out="s3://runs/a")
+    wanted = nt.replay(run, size="1K").to_csv()
+    monkeypatch.setattr(parts, "PART", run.n_accesses // 6)
+    requests.clear()
+    with ThreadPoolExecutor(1) as workers:  # a worker of another process makes the same ones
+        assert nt.replay(str(run.path), size="1K", workers=workers).to_csv() == wanted
+    n_tasks = run.n_accesses // (run.n_accesses // 6)
+    assert n_tasks >= 6 and sum(what == "GET" for what, _ in requests) <= 3 * n_tasks
 
 
 def test_workers_write_into_the_store(requests, tmp_path):
