@@ -189,7 +189,7 @@ def engine_of(workers: int | Executor = 0, scheduler: str | None = None) -> Iter
     Raises
     ------
     NptraceError
-        Both are given, the extra ``cluster`` is not installed, or the scheduler does not answer.
+        Both are given, the extra ``cluster`` is not installed, the scheduler does not answer, or lacks this program.
     """
     if scheduler is not None:
         if workers:
@@ -217,8 +217,20 @@ def _dask(address: str) -> Iterator[Engine]:
     except (OSError, ValueError, TimeoutError) as e:
         reason = (str(e) or type(e).__name__).splitlines()[0]
         raise NptraceError(f"there is no Dask scheduler at {address} ({reason}); start one with `dask scheduler`") from e
+    lost = (CommClosedError, KilledWorker, CancelledError)
     try:
-        lost = (CommClosedError, KilledWorker, CancelledError)
+        _check_installed(client, address)
         yield Engine(lambda: client.get_executor(pure=False), "a worker of the cluster", can_restart=False, lost=lost)
     finally:
         client.close(timeout=5)
+
+
+def _check_installed(client: Any, address: str) -> None:
+    """Refuse a cluster whose scheduler or workers cannot import this program, for which Dask would wait without a word."""
+    for where, ask in (("the scheduler", client.run_on_scheduler), ("a worker of the scheduler", client.run)):
+        try:
+            ask(guarded, int)
+        except Exception as e:  # as it was raised there
+            reason = (str(e) or type(e).__name__).splitlines()[0]
+            way_out = "install it there, in the same version"
+            raise NptraceError(f"{where} at {address} cannot run nptrace ({reason}); {way_out}") from e

@@ -80,7 +80,14 @@ class Workshop:
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options, *tests]
         try:
             done = subprocess.run(
-                command, cwd=self._project, env=environment, capture_output=True, text=True, check=False, timeout=_TIMEOUT
+                command,
+                cwd=self._project,
+                env=environment,
+                capture_output=True,
+                check=False,
+                timeout=_TIMEOUT,
+                text=True,
+                errors="replace",  # a test may print a name of any bytes
             )
         except subprocess.TimeoutExpired:
             return -1, [f"{tests[0]} (does not end)"]

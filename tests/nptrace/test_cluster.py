@@ -1,7 +1,11 @@
 """Rendering on a Dask cluster of two processes, one of which is killed."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
+import time
 
 import pytest
 from click.testing import CliRunner
@@ -11,6 +15,7 @@ import nptrace as nt
 import nptrace_base.engines as engines
 import rtrace.part_render as part_render
 from nptrace_base.engines import WorkersLostError, engine_of
+from nptrace_base.errors import NptraceError
 from rtrace.part_render import trace_part
 from rtrace.scenes.stand_ins import stand_in
 
@@ -57,6 +62,46 @@ def test_a_scheduler_that_is_lost_is_one_sentence():
         running.close()
         with pytest.raises(WorkersLostError, match=r"a worker of the cluster was lost \(.*\) with 2 of 2 tasks left"):
             list(engine.results(abs, [(-1,), (-2,)]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("who", ["a worker of the scheduler", "the scheduler"])
+def test_a_cluster_without_this_program_is_one_sentence(tmp_path, who):
+    """Dask would lose one worker after the other, or wait for a worker that can."""
+    (tmp_path / "without.py").write_text("import sys\nsys.modules['nptrace_base'] = None\n")
+    environment = {**os.environ, "PYTHONPATH": ""}
+    begin = [sys.executable, "-m", "distributed.cli.dask_"]
+
+    def started(what, *arguments, without):
+        preload = ["--preload", str(tmp_path / "without.py")] if without else []
+        command = [*begin[:2], begin[2] + what, *arguments, *preload]
+        return subprocess.Popen(command, env=environment, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    address = tmp_path / "scheduler.json"
+    scheduler = started(
+        *("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(address)), without=who == "the scheduler"
+    )
+    worker = started(
+        *("worker", "--scheduler-file", str(address), "--no-nanny", "--no-dashboard", "--nthreads", "1"),
+        without=who != "the scheduler",
+    )
+    try:
+        for _ in range(300):
+            if address.exists() and address.read_text():
+                break
+            time.sleep(0.1)
+        place = json.loads(address.read_text())["address"]
+        from distributed import Client
+
+        with Client(place, timeout="30s", set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=30)
+        sentence = rf"^{who} at {place} cannot run nptrace \(.*nptrace_base.*\); install it there, in the same version$"
+        with pytest.raises(NptraceError, match=sentence), engine_of(scheduler=place) as engine:
+            list(engine.results(abs, [(-1,)]))
+    finally:
+        for process in (worker, scheduler):
+            process.kill()
+            process.wait()
 
 
 @pytest.mark.parametrize(
