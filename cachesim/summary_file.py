@@ -57,6 +57,7 @@ def write_part(path: Path, part: Run, asked: Sequence[Asked], summaries: Sequenc
     arrays = {
         name: array for i, summary in enumerate(summaries) for name, array in prefixed(str(i), summary.arrays()).items()
     }  # fmt: skip
+    rows = [(name, array.dtype.str, array.tobytes()) for name, array in arrays.items()]
     of = {"identity": asdict(part.identity), "digest": part.digest, "n_rays": part.footer.n_rays}
     metadata = {
         "format_version": FORMAT_VERSION,
@@ -64,15 +65,14 @@ def write_part(path: Path, part: Run, asked: Sequence[Asked], summaries: Sequenc
         "rows": [part.rows.start, part.rows.stop],
         "asked": [asdict(each) for each in asked],
         "code": [code_of(each.question) for each in asked],
-        "sha256": _checksum(arrays),
+        "sha256": _checksum(rows),
     }
-    columns = [list(arrays), [array.dtype.str for array in arrays.values()], [array.tobytes() for array in arrays.values()]]
     text = json.dumps(metadata).encode()
     schema = _SCHEMA.with_metadata({_KEY: text, _KEY_SUM: hashlib.sha256(text).hexdigest().encode()})
     with whole_file(path) as temporary:
         options = pa.ipc.IpcWriteOptions(compression="zstd")
         with temporary.open("wb") as file, pa.ipc.new_file(file, schema, options=options) as writer:
-            writer.write_table(pa.table(columns, schema=schema))
+            writer.write_table(pa.table([*map(list, zip(*rows, strict=True))], schema=schema))
         return temporary.stat().st_size
 
 
@@ -173,19 +173,19 @@ def _arrays(part: _Part) -> dict[str, np.ndarray]:
         with part.path.open("rb") as file:
             table = pa.ipc.open_file(file).read_all()
         table.validate(full=True)  # Arrow takes the places of texts in a file as they are
-        columns = (table.column(name).to_pylist() for name in _SCHEMA.names)
-        arrays = {name: np.frombuffer(data, type_) for name, type_, data in zip(*columns, strict=True)}
+        rows = list(zip(*(table.column(name).to_pylist() for name in _SCHEMA.names), strict=True))
+        if _checksum(rows) != part.sha256:
+            raise ValueError("its checksum is wrong")
+        return {name: np.frombuffer(data, type_) for name, type_, data in rows}
     except _UNREADABLE as e:
         raise _damaged(part.path, e) from e
-    if _checksum(arrays) != part.sha256:
-        raise _damaged(part.path, ValueError("its checksum is wrong"))
-    return arrays
 
 
-def _checksum(arrays: dict[str, np.ndarray]) -> str:
+def _checksum(rows: Iterable[tuple[str, str, bytes]]) -> str:
+    """Return the sha256 of the rows of a file, in hexadecimal: names, types and contents of arrays."""
     digest = hashlib.sha256()
-    for name, array in arrays.items():
-        digest.update(f"{name} {array.dtype.str} {array.size}\n".encode() + array.tobytes())
+    for name, type_, data in rows:
+        digest.update(f"{name} {type_} {len(data)}\n".encode() + data)
     return digest.hexdigest()
 
 

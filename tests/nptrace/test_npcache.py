@@ -118,7 +118,7 @@ def test_table1(folder, tmp_path):
         (["replay", "--line", "48"], "Error: a line of 48 B is not a power of two"),
         (["replay", "--policy", "mru"], "Error: --policy: 'mru' is not a replacement policy; choose lru, fifo, random or opt"),
         (["replay", "--prefetch", "magic"], "Error: --prefetch: there is no prefetch policy 'magic'; write one of next-line"),
-        (["replay", "--layout", "zigzag"], "Error: 'zigzag' is not a layout; choose one of stored, bfs"),
+        (["replay", "--layout", "zigzag"], "Error: --layout: 'zigzag' is not a layout; choose one of stored, bfs"),
         (["replay", "no-such-run"], "Error: there is no no-such-run"),
         (["replay", "no-such.din"], "Error: there is no no-such.din"),
         (["replay", "--traces", "nowhere"], "Error: there is no folder nowhere; make a run with nptrace render SCENE"),
