@@ -11,17 +11,14 @@ from click.testing import CliRunner
 
 import cli
 from nptrace import studies
-from tests.nptrace.test_terminal import inputs
+from tests.nptrace.test_study import study_in
 
 STUDY = 'out = "runs"\n[render]\nscenes = ["ball.obj"]\naccel = "bvh"\npixels = "8x8"\n[replay]\nsize = "1K"\n'
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    inputs(tmp_path)
-    (tmp_path / "study.toml").write_text(STUDY)
-    return tmp_path
+    return study_in(tmp_path, monkeypatch, STUDY)
 
 
 def run(command, code=0):

@@ -33,12 +33,17 @@ rays = [1, 4]
 """
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
+def study_in(tmp_path, monkeypatch, text):
+    """Go to a folder with the usual inputs and a study; return it."""
     monkeypatch.chdir(tmp_path)
     inputs(tmp_path)
-    (tmp_path / "study.toml").write_text(STUDY)
+    (tmp_path / "study.toml").write_text(text)
     return tmp_path
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    return study_in(tmp_path, monkeypatch, STUDY)
 
 
 def run(group, *args, code=0):
